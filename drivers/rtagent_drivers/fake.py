@@ -1,0 +1,234 @@
+"""Fakes in the process: any world as a device, with a sample rate, transport delay, and faults on demand.
+
+A world's state is a function of the clock. It is computed when it is read, for the moment at which a sensor
+would have measured it, so that a loop that was busy finds what a kernel's buffer would hold.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from numpy.random import Generator
+
+from rtagent.clock import current
+from rtagent.errors import DeviceError, DisconnectedError, SpecError
+from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.specs import DeviceSpec
+from rtagent.units import Duration, Frequency, describe
+from rtagent_drivers.arrivals import Arrivals, Disturbance
+
+CLOSED_SETTINGS = {"extra": "forbid"}
+
+
+class World(Protocol):
+    """A piece of the world that goes on by itself. All times are in ns; none is asked of the loop."""
+
+    spec: DeviceSpec
+
+    def begin(self, now: int, rng: Generator) -> None:
+        """Begin an episode at `now`, all that is random in it drawn from `rng`."""
+
+    def values(self, time: int) -> Values:
+        """Return what the sensors would measure at `time`, which is not in the future."""
+
+    def command(self, now: int, command: Command) -> Command:
+        """Take a command that arrives `now`; return what became of it."""
+
+    def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
+        """Return the stimuli with after < time <= until."""
+
+    def next_change(self, now: int) -> int | None:
+        """Return when something changes next after `now` if no command comes, or None."""
+
+    def make_safe(self, now: int) -> None:
+        """Stop all motion."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a world is measured: `rate` in Hz (0: as of now, whenever it is read), and the way to the host.
+
+    A sample arrives `delay` after it was taken, and up to `jitter` later still.
+    """
+
+    __pydantic_config__: ClassVar = CLOSED_SETTINGS
+
+    rate: Frequency = 0.0
+    delay: Duration = 0
+    jitter: Duration = 0
+
+    def __post_init__(self) -> None:
+        if self.rate < 0 or self.delay < 0 or self.jitter < 0:
+            raise SpecError("sampling has a negative rate, delay or jitter: give 0 or more.")
+        if self.jitter and not self.rate:
+            raise SpecError("sampling.jitter needs sampling.rate: a world read as of now has no arrivals.")
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong. Probabilities are for each sample; times are since the device was first opened.
+
+    A `late` sample takes `lateness` longer, so that it may be overtaken. At `raise_at` a call raises, once; at
+    `hang_at` a call does not return, once; in each window `disconnect` = [from, to] (or [from], for ever) the
+    device is gone.
+    """
+
+    __pydantic_config__: ClassVar = CLOSED_SETTINGS
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    corrupt: float = 0.0
+    late: float = 0.0
+    lateness: Duration = 0
+    raise_at: tuple[Duration, ...] = ()
+    hang_at: tuple[Duration, ...] = ()
+    disconnect: tuple[tuple[Duration, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("drop", "duplicate", "corrupt", "late"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise SpecError(f"faults.{name} is {getattr(self, name)}: give a probability from 0 to 1.")
+        if any(len(window) not in (1, 2) for window in self.disconnect):
+            raise SpecError("faults.disconnect holds windows [from, to], or [from] for ever.")
+
+    @property
+    def in_stream(self) -> Disturbance | None:
+        """What disturbs the stream of samples, if anything."""
+        if self.drop or self.duplicate or self.corrupt or self.late:
+            return Disturbance(self.drop, self.duplicate, self.corrupt, self.late, self.lateness)
+        return None
+
+
+class FakeDevice:
+    """A world as a device."""
+
+    def __init__(self, world: World, sampling: Sampling | None = None, faults: Faults | None = None) -> None:
+        self.world, self.spec = world, world.spec
+        self._sampling, self._faults = sampling or Sampling(), faults or Faults()
+        if self._faults.in_stream and not self._sampling.rate:
+            raise SpecError("faults in the stream of samples (drop, duplicate, corrupt, late) need sampling.rate.")
+        self._troubles = bool(self._faults.raise_at or self._faults.hang_at or self._faults.disconnect)
+        self._due = {"raise": sorted(self._faults.raise_at), "hang": sorted(self._faults.hang_at)}
+        self._first_opened: int | None = None
+        self._opened = False
+        self._arrivals: Arrivals | None = None
+        self._reads = 0
+        self._past_counters: Counter[str] = Counter()
+
+    async def open(self) -> None:
+        """Connect; raise `DisconnectedError` while it is unplugged."""
+        self._clock = current()
+        self._now = self._clock.now
+        if self._first_opened is None:
+            self._first_opened = self._began = self._now()
+            self._begin_world(self._first_opened, None)
+        self._check_plugged(self._now() - self._first_opened)
+        self._opened = True
+
+    async def begin_episode(self, rng: Generator) -> None:
+        """Put the world at its start, now."""
+        self._begin_world(self._now(), rng)
+
+    async def read(self, newer_than: int) -> Sample:
+        """Return the newest sample there is, or wait for one above `newer_than`."""
+        await self._meet_troubles()
+        if self._arrivals is None:
+            return self._as_of_now()
+        newest = self._arrivals.newest(self._now())
+        while newest is None or newest.sequence <= newer_than:
+            await self._clock.sleep_until(self._arrivals.next_arrival(self._now()))
+            newest = self._arrivals.newest(self._now())
+        values = self.world.values(newest.taken)
+        if newest.corrupt:
+            values = self._corrupted(values, newest.sequence)
+        return Sample(values, newest.taken, newest.arrival, newest.sequence)
+
+    async def act(self, command: Command) -> Command:
+        """Hand a command to the world; raise `SpecError` where it is none of its actuators."""
+        await self._meet_troubles()
+        for name, value in command.items():
+            if name not in self.spec.actuators:
+                there = ", ".join(self.spec.actuators) or "none"
+                raise SpecError(f"there is no actuator {name!r}; this device has {there}.")
+            self.spec.actuators[name].validate(value, name)
+        return self.world.command(self._now(), command)
+
+    async def make_safe(self) -> None:
+        """Stop all motion."""
+        if self._first_opened is None:
+            return
+        self._check_plugged(self._now() - self._first_opened)
+        self.world.make_safe(self._now())
+
+    async def close(self) -> None:
+        """Disconnect."""
+        self._opened = False
+
+    def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
+        """Return the stimuli with after < time <= until (ns), from the truth."""
+        return self.world.stimuli(after, until)
+
+    def next_event(self, now: int) -> int | None:
+        """Return when the next sample arrives, or the world changes next."""
+        if self._arrivals is not None:
+            return self._arrivals.next_arrival(now)
+        change = self.world.next_change(now - self._sampling.delay)
+        return None if change is None else change + self._sampling.delay
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What the stream of samples lost, doubled and overtook."""
+        present = self._arrivals.counters(self._now()) if self._arrivals else {}
+        return self._past_counters + Counter(present)
+
+    def _begin_world(self, now: int, rng: Generator | None) -> None:
+        from rtagent.streams import stream
+
+        self._past_counters = Counter(self.counters) if self._arrivals else self._past_counters
+        rng = rng if rng is not None else stream(0, "fake")
+        self.world.begin(now, rng)
+        self._began, self._reads = now, 0
+        if self._sampling.rate:
+            period = 1e9 / self._sampling.rate
+            self._arrivals = Arrivals(
+                now, period, self._sampling.delay, self._sampling.jitter, self._faults.in_stream, rng.spawn(1)[0]
+            )
+
+    def _as_of_now(self) -> Sample:
+        now = self._now()
+        taken = now if not self._sampling.delay else max(self._began, now - self._sampling.delay)
+        self._reads += 1
+        return Sample(self.world.values(taken), taken, now, self._reads)
+
+    async def _meet_troubles(self) -> None:
+        if not self._opened:
+            raise DisconnectedError("the device is closed: open it first.")
+        if not self._troubles or self._first_opened is None:
+            return
+        age = self._now() - self._first_opened
+        self._check_plugged(age)
+        if self._comes_due("raise", age):
+            raise DeviceError(f"a fault was injected at {describe(age)}")
+        if self._comes_due("hang", age):
+            await asyncio.get_running_loop().create_future()
+
+    def _comes_due(self, trouble: str, age: int) -> bool:
+        due = self._due[trouble]
+        if not due or age < due[0]:
+            return False
+        due.pop(0)
+        return True
+
+    def _check_plugged(self, age: int) -> None:
+        for window in self._faults.disconnect:
+            if age >= window[0] and (len(window) == 1 or age < window[1]):
+                self._opened = False
+                raise DisconnectedError("the device is unplugged")
+
+    def _corrupted(self, values: Values, sequence: int) -> Values:
+        garbage = float("nan") if sequence % 2 else 1e30
+        return dict.fromkeys(values, garbage)

@@ -1,0 +1,167 @@
+"""The agent: features, learner and policy, and the bookkeeping that turns observations into transitions.
+
+Nothing here waits for anything; the runtime says when each component runs.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.random import Generator
+
+from rtagent.errors import ScheduleError
+from rtagent.experience import FeatureVector, Outcome, Transition
+from rtagent.features import FeatureCoder
+from rtagent.learning import ControlLearner, PredictionLearner
+from rtagent.policy import Policy
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """An action, what it was chosen from, and with which probability."""
+
+    features: FeatureVector
+    observed_at: int
+    action: int | None
+    probability: float
+
+
+class Agent:
+    """What learns and chooses. Without a policy it only predicts.
+
+    `queue` holds complete transitions that were not learned yet, the oldest first.
+    """
+
+    def __init__(
+        self,
+        features: FeatureCoder,
+        learner: ControlLearner | PredictionLearner,
+        policy: Policy | None = None,
+        rng: Generator | None = None,
+    ) -> None:
+        self.features, self.learner, self.policy = features, learner, policy
+        self.rng = rng if rng is not None else np.random.default_rng()
+        self.queue: deque[Transition] = deque()
+        self.keeps_transitions = True
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin an episode: there is nothing before its first observation."""
+        self._features: FeatureVector | None = None
+        self._observed_at = 0
+        self._reward = 0.0
+        self._fresh = False
+        self._in_force: Decision | None = None
+        self._acted = False
+        self._incomplete: Transition | None = None
+        self.chosen: Decision | None = None
+
+    @property
+    def action_pending(self) -> bool:
+        """Whether an action was chosen that has not been handed to the devices."""
+        return self.chosen is not None and self.chosen is not self._in_force
+
+    @property
+    def awaits_next_action(self) -> bool:
+        """Whether the newest transition is complete only with the next choice."""
+        return self._incomplete is not None
+
+    @property
+    def repeats_action(self) -> bool:
+        """Whether the pending action, if any, is the one that is in force already."""
+        if self.chosen is None or self._in_force is None:
+            return self.chosen is self._in_force
+        return self.chosen.action == self._in_force.action
+
+    def observe(self, outcome: Outcome, time: int) -> Transition | None:
+        """Take an observation made at `time` (ns); return the transition that it closed, if it closed one.
+
+        An observation after an act closes a transition; another one without an act refreshes it. What ends an
+        episode always closes one, under the action that is still in force.
+        """
+        features = self.features.encode(outcome.state)
+        self._reward += outcome.reward
+        closed = None
+        if self._closes(outcome):
+            closed = self._close(outcome, features, time)
+        elif self._incomplete is not None:
+            self._refresh(self._incomplete, outcome, features, time)
+        self._features, self._observed_at, self._fresh = features, time, True
+        return closed
+
+    def choose(self) -> Decision:
+        """Choose an action from the newest observation; raise `ScheduleError` where there is none newer."""
+        if not self._fresh or self.policy is None or self._features is None:
+            raise ScheduleError("choose needs an observation newer than the last choice, and a policy.")
+        values = cast("ControlLearner", self.learner).action_values(self._features)
+        action, probability = self.policy.choose(values, self.rng)
+        self.chosen = Decision(self._features, self._observed_at, action, probability)
+        self._fresh = False
+        if self._incomplete is not None:
+            self._incomplete.next_action = action
+            self._enqueue(self._incomplete)
+            self._incomplete = None
+        return self.chosen
+
+    def acted(self) -> None:
+        """The chosen action was handed to the devices."""
+        self._in_force = self.chosen
+        self._acted = True
+
+    def learn(self) -> tuple[Transition, float]:
+        """Learn the oldest transition of the queue; return it with its delta. The queue must not be empty."""
+        transition = self.queue.popleft()
+        return transition, self.learner.update(transition)
+
+    def _closes(self, outcome: Outcome) -> bool:
+        if self.policy is None:
+            return self._features is not None
+        if self._in_force is None:
+            return False
+        return self._acted or (self._incomplete is None and (outcome.terminated or outcome.truncated))
+
+    def _close(self, outcome: Outcome, features: FeatureVector, time: int) -> Transition:
+        before = self._decision_before()
+        transition = Transition(
+            before.features,
+            before.action,
+            before.probability,
+            self._reward,
+            features,
+            None,
+            time - before.observed_at,
+            outcome.terminated,
+            outcome.truncated,
+        )
+        self._reward, self._acted = 0.0, False
+        if self.learner.needs_next_action and not outcome.terminated:
+            self._incomplete = transition
+        else:
+            self._enqueue(transition)
+        return transition
+
+    def _decision_before(self) -> Decision:
+        if self.policy is None or not self._acted:
+            in_force = self._in_force
+            action, probability = (in_force.action, in_force.probability) if in_force else (None, 1.0)
+            return Decision(cast("FeatureVector", self._features), self._observed_at, action, probability)
+        return cast("Decision", self._in_force)
+
+    def _refresh(
+        self, transition: Transition, outcome: Outcome, features: FeatureVector, time: int
+    ) -> None:
+        transition.elapsed += time - self._observed_at
+        transition.reward += self._reward
+        transition.next_features = features
+        transition.terminated, transition.truncated = outcome.terminated, outcome.truncated
+        self._reward = 0.0
+        if outcome.terminated:
+            self._enqueue(transition)
+            self._incomplete = None
+
+    def _enqueue(self, transition: Transition) -> None:
+        if self.keeps_transitions:
+            self.queue.append(transition)

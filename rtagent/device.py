@@ -1,0 +1,75 @@
+"""What a device is: the contract between the runtime and the drivers.
+
+`rtagent.testing.DeviceContract` checks a driver against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+from numpy.random import Generator
+
+from rtagent.experience import Command, Sample, Stimulus
+from rtagent.specs import DeviceSpec
+
+
+class Device(Protocol):
+    """An async driver for one piece of hardware, or its fake.
+
+    Any of its methods may raise `DeviceError` (tried again within the retry budget) or `DisconnectedError`
+    (opened anew), and any may be cancelled while it waits.
+    """
+
+    spec: DeviceSpec
+
+    async def open(self) -> None:
+        """Connect; nothing moves yet."""
+
+    async def read(self, newer_than: int) -> Sample:
+        """Return the newest sample, at once if its sequence number is above `newer_than`, else when one is.
+
+        `newer_than` is -1 for whatever is newest.
+        """
+
+    async def act(self, command: Command) -> Command:
+        """Send `command`, a value for each actuator that it names; return what was sent, after limits."""
+
+    async def make_safe(self) -> None:
+        """Put every actuator in its safe state; may be called at any time, and more than once."""
+
+    async def close(self) -> None:
+        """Let go of the hardware; may be called more than once. The device can be opened again."""
+
+
+@runtime_checkable
+class Episodic(Protocol):
+    """A device that can be brought to the start of an episode."""
+
+    async def begin_episode(self, rng: Generator) -> None:
+        """Go to the start; what is random in the episode is drawn from `rng`, beforehand."""
+
+
+@runtime_checkable
+class Stimulating(Protocol):
+    """A device that knows when stimuli truly happened."""
+
+    def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
+        """Return the stimuli with after < time <= until (ns), in order."""
+
+
+@runtime_checkable
+class Foreseeing(Protocol):
+    """A fake that knows when it will change next: the virtual clock can jump there."""
+
+    def next_event(self, now: int) -> int | None:
+        """Return the time (ns) of the next change after `now`, or None where none is to come."""
+
+
+@runtime_checkable
+class Counting(Protocol):
+    """A device that counts what it dropped, retried or found damaged."""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """The counts so far, by name."""

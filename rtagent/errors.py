@@ -1,0 +1,47 @@
+"""Every error that rtagent raises on purpose; each message is a sentence that says what to do."""
+
+from __future__ import annotations
+
+
+class RtagentError(Exception):
+    """The base of all errors raised on purpose."""
+
+
+class SpecError(RtagentError, ValueError):
+    """A value does not fit its spec."""
+
+
+class UnitError(RtagentError, ValueError):
+    """A quantity was written without a unit, or with one of another kind."""
+
+
+class ScheduleError(RtagentError, ValueError):
+    """An order of components that cannot work."""
+
+
+class ClockError(RtagentError, RuntimeError):
+    """Something that the clock of this run cannot do."""
+
+
+class RunStuckError(ClockError):
+    """A virtual run in which nothing would ever happen again."""
+
+
+class DeviceError(RtagentError):
+    """A device failed; the runtime tries again within the device's retry budget."""
+
+
+class DisconnectedError(DeviceError):
+    """A device went away; the runtime opens it anew within its retry budget."""
+
+
+class PluginError(RtagentError, LookupError):
+    """No plug-in of that name, or one that cannot be loaded."""
+
+
+class ScenarioError(RtagentError, ValueError):
+    """All that is wrong with a scenario, one sentence a problem, each with its file and line."""
+
+    def __init__(self, problems: list[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems

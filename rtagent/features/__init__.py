@@ -1,0 +1,6 @@
+"""Feature coders: from a state to the indices (and values) of its active features."""
+
+from rtagent.features.coder import FeatureCoder
+from rtagent.features.tables import Binned, OneHot, Tabular
+
+__all__ = ["Binned", "FeatureCoder", "OneHot", "Tabular"]

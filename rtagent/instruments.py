@@ -1,0 +1,85 @@
+"""Instruments: hooks that receive timestamps. They write to preallocated arrays and cannot break a run."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from rtagent.experience import Command, Observation, Stimulus, Transition
+from rtagent.reaction import Reaction
+from rtagent.recorder import EpisodeRecord
+from rtagent.schedule import Component
+
+log = logging.getLogger("rtagent")
+
+class Instrument:
+    """The hooks, all optional: any object that has some of these methods is an instrument.
+
+    Times are in ns. A hook that raises is removed for the rest of the run, and logged.
+    """
+
+    def episode_began(self, trial: int, episode: int, time: int) -> None:
+        """An episode began."""
+
+    def observed(self, observation: Observation, stimuli: Sequence[Stimulus]) -> None:
+        """The agent observed; `stimuli` are those that this observation is the first to contain."""
+
+    def chose(self, action: int, probability: float, time: int) -> None:
+        """The agent chose an action."""
+
+    def acted(self, action: int, sent: Mapping[str, Command], start: int, end: int) -> None:
+        """An action was handed to the devices; `sent` is what each of them really took."""
+
+    def learned(self, transition: Transition, delta: float, time: int) -> None:
+        """A transition was learned."""
+
+    def component(self, component: Component, start: int, end: int) -> None:
+        """A component ran."""
+
+    def reacted(self, reaction: Reaction) -> None:
+        """A stimulus got its first reaction."""
+
+    def fault(self, source: str, message: str, time: int) -> None:
+        """Something failed."""
+
+    def episode_ended(self, record: EpisodeRecord) -> None:
+        """An episode ended."""
+
+
+HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
+
+
+class Hooks:
+    """Calls every instrument that has a hook; one that raises is removed."""
+
+    def __init__(self, instruments: Iterable[object]) -> None:
+        self._calls: dict[str, list[Callable[..., None]]] = {
+            name: [hook for instrument in instruments if (hook := _own_hook(instrument, name)) is not None]
+            for name in HOOKS
+        }
+        self.any = any(self._calls.values())
+        self.removed: list[str] = []
+
+    def call(self, name: str, *args: Any) -> None:
+        """Call the hook `name` of every instrument."""
+        for hook in self._calls[name]:
+            try:
+                hook(*args)
+            except Exception as error:
+                self._remove(name, hook, error)
+
+    def _remove(self, name: str, hook: Callable[..., None], error: Exception) -> None:
+        owner = type(getattr(hook, "__self__", hook)).__name__
+        sentence = f"the instrument {owner} raised {error!r} in its hook {name!r} and was taken off that hook"
+        log.exception("%s; the run goes on.", sentence)
+        self.removed.append(sentence)
+        self._calls[name] = [other for other in self._calls[name] if other is not hook]
+
+
+def _own_hook(instrument: object, name: str) -> Callable[..., None] | None:
+    hook = getattr(instrument, name, None)
+    if hook is None or getattr(hook, "__func__", None) is vars(Instrument)[name]:
+        return None
+    made: Callable[..., None] = hook
+    return made

@@ -1,0 +1,7 @@
+"""Learners: linear in their features, one update for each transition."""
+
+from rtagent.learning.control import ExpectedSarsa, QLearning, Sarsa
+from rtagent.learning.learner import ControlLearner, Learner, PredictionLearner
+from rtagent.learning.prediction import TD
+
+__all__ = ["TD", "ControlLearner", "ExpectedSarsa", "Learner", "PredictionLearner", "QLearning", "Sarsa"]

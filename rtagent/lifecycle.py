@@ -1,0 +1,266 @@
+"""The life of a run: open the devices, run the trials, and end safely on every way out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from numpy.random import Generator
+
+from rtagent.agent import Agent
+from rtagent.clock import Clock, current
+from rtagent.costs import Costs
+from rtagent.device import Device, Foreseeing
+from rtagent.errors import DeviceError, RtagentError, RunStuckError, ScheduleError
+from rtagent.instruments import Hooks
+from rtagent.recorder import Fault, Recorder
+from rtagent.result import Result, RunError
+from rtagent.runtime import Limits, Runtime
+from rtagent.schedule import Schedule, prologue
+from rtagent.streams import stream
+from rtagent.supervision import HangGuard, SupervisedDevice, Supervision, close_all, make_all_safe
+from rtagent.task import Task
+from rtagent.units import ms, second
+
+GIVE_UP_TIMEOUT = 1 * second
+"""A run that was told to stop, and waits for something that does not yield, is left behind after this."""
+
+AgentMaker = Callable[[Generator], Agent]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much to run, from which seed; `drain` (ns) bounds learning after a signal or a fault."""
+
+    trials: int = 1
+    episodes: int = 1
+    seed: int = 0
+    limits: Limits = Limits()
+    drain: int = 500 * ms
+
+
+async def run(
+    devices: Mapping[str, Device],
+    task: Task,
+    agent: Agent | AgentMaker,
+    schedule: Schedule,
+    plan: Plan = Plan(),  # noqa: B008  # frozen: sharing it changes nothing
+    *,
+    costs: Costs | None = None,
+    supervision: Mapping[str, Supervision] | None = None,
+    instruments: Iterable[object] = (),
+) -> Result:
+    """Run a whole plan under the clock of the running event loop, and return what it came to.
+
+    `agent` is an agent, or what makes one from a random generator: each trial begins with a new one.
+    `costs` (virtual clock only) are what components cost. Raises `RunError`, which carries the result so far,
+    when a device died, something raised, or a signal came; `ScheduleError`, `SpecError` or `RunStuckError`
+    before anything is opened when the parts do not fit. In every case the devices have been made safe.
+    """
+    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision or {}, Hooks(instruments))
+    return await life.live()
+
+
+@dataclass(frozen=True)
+class _End:
+    """Why a run ended before its time."""
+
+    source: str
+    message: str
+    error: BaseException | None = None
+
+    def trace(self) -> str:
+        if self.error is None or isinstance(self.error, RtagentError | asyncio.CancelledError):
+            return ""
+        return "".join(traceback.format_exception(self.error))
+
+
+class _Life:
+    def __init__(
+        self,
+        devices: Mapping[str, Device],
+        task: Task,
+        agent: Agent | AgentMaker,
+        schedule: Schedule,
+        plan: Plan,
+        costs: Costs,
+        supervision: Mapping[str, Supervision],
+        hooks: Hooks,
+    ) -> None:
+        self._task, self._make_agent, self._schedule, self._plan = task, _maker(agent, plan), schedule, plan
+        self._costs, self._hooks = costs, hooks
+        self._clock = current()
+        self._guard = HangGuard(self._clock)
+        self._recorder = Recorder()
+        self._began = self._clock.now()
+        self._devices = {
+            name: SupervisedDevice(
+                name, device, supervision.get(name, Supervision()), self._clock, self._guard, self._report
+            )
+            for name, device in devices.items()
+        }
+        self._agents: list[Agent] = []
+        self._not_safe: list[str] = []
+        task.bind({name: device.spec for name, device in devices.items()})
+        _refuse_stuck(devices, schedule, costs, self._clock, plan)
+
+    async def live(self) -> Result:
+        work = asyncio.ensure_future(self._work())
+        try:
+            with _signals() as signalled:
+                end = await self._until_end(work, signalled)
+                await self._make_safe()
+                self._drain(end)
+        except asyncio.CancelledError:
+            work.cancel()
+            await self._make_safe()
+            raise
+        finally:
+            self._guard.close()
+        return self._conclude(end)
+
+    async def _work(self) -> None:
+        for device in self._devices.values():
+            await device.open()
+        for trial in range(self._plan.trials):
+            agent = self._make_agent(stream(self._plan.seed, "policy", trial))
+            self._agents.append(agent)
+            runtime = self._runtime(agent, trial)
+            for episode in range(self._plan.episodes):
+                rngs = {
+                    name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices
+                }
+                await runtime.run_episode(trial, episode, rngs)
+
+    def _runtime(self, agent: Agent, trial: int) -> Runtime:
+        return Runtime(
+            self._devices,
+            self._task,
+            agent,
+            self._schedule,
+            clock=self._clock,
+            guard=self._guard,
+            recorder=self._recorder,
+            hooks=self._hooks,
+            costs=self._costs,
+            costs_rng=stream(self._plan.seed, "costs", trial),
+            limits=self._plan.limits,
+        )
+
+    async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:
+        """Wait for the work's own end, a signal, or a call that never returns."""
+        await asyncio.wait({work, signalled, self._guard.stuck}, return_when=asyncio.FIRST_COMPLETED)
+        if work.done() and not work.cancelled():
+            error = work.exception()
+            source = "device" if isinstance(error, DeviceError) else "run"
+            return None if error is None else _End(source, _sentence(error), error)
+        work.cancel()
+        await asyncio.wait({work}, timeout=GIVE_UP_TIMEOUT / second)
+        if signalled.done():
+            return _End("signal", f"the run was stopped by {signalled.result()}")
+        if self._guard.stuck.done():
+            return _End("device", f"{self._guard.stuck.result()} did not return, not even when it was cancelled")
+        return _End("run", "the run was cancelled")
+
+    async def _make_safe(self) -> None:
+        devices = list(self._devices.values())
+        self._not_safe = await make_all_safe(devices, self._clock) + await close_all(devices, self._clock)
+
+    def _drain(self, end: _End | None) -> None:
+        """Learn what is still in the queue: all on a normal end, else for a bounded time."""
+        if not self._agents:
+            return
+        agent = self._agents[-1]
+        deadline = self._clock.now() + self._plan.drain
+        may_learn = end is None or end.source != "run"
+        while agent.queue and may_learn and (end is None or self._clock.now() < deadline):
+            agent.learn()
+        self._recorder.counters["transitions_not_learned"] += len(agent.queue)
+
+    def _conclude(self, end: _End | None) -> Result:
+        self._recorder.counters["instruments_removed"] += len(self._hooks.removed)
+        for sentence in self._hooks.removed:
+            self._report("instrument", sentence)
+        for sentence in self._not_safe:
+            self._report("stop", sentence)
+        if end is not None:
+            now = self._clock.now() - self._began
+            self._recorder.fault(Fault(now, end.source, end.message, True, end.trace()))
+        result = Result(
+            self._plan.seed,
+            "virtual" if self._clock.virtual else "real",
+            self._schedule,
+            self._recorder,
+            {name: device.counters for name, device in self._devices.items()},
+            self._agents,
+            self._not_safe,
+        )
+        if end is not None:
+            raise RunError(end.message, result) from end.error
+        return result
+
+    def _report(self, source: str, message: str) -> None:
+        now = self._clock.now()
+        self._recorder.fault(Fault(now - self._began, source, message))
+        self._hooks.call("fault", source, message, now)
+
+
+def _maker(agent: Agent | AgentMaker, plan: Plan) -> AgentMaker:
+    if not isinstance(agent, Agent):
+        return agent
+    if plan.trials != 1:
+        raise ScheduleError(f"{plan.trials} trials need a new agent each: give what makes one from a generator.")
+
+    def the_same(rng: Generator) -> Agent:
+        agent.rng = rng
+        return agent
+
+    return the_same
+
+
+def _sentence(error: BaseException) -> str:
+    if isinstance(error, RtagentError):
+        return str(error)
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _refuse_stuck(
+    devices: Mapping[str, Device], schedule: Schedule, costs: Costs, clock: Clock, plan: Plan
+) -> None:
+    """Refuse a virtual run whose time could never advance."""
+    moves = schedule.learn_delay or schedule.period or any(cost.low or cost.high for cost in costs.values())
+    foreseen = any(isinstance(device, Foreseeing) or device.spec.synchronous for device in devices.values())
+    if clock.virtual and not moves and not foreseen and not plan.limits.episode_time:
+        raise RunStuckError(
+            "virtual time could never advance: no component costs anything and no device knows its next event. "
+            "Give a component a cost, or schedule.period or schedule.learn_delay a value."
+        )
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[asyncio.Future[str]]:
+    """Turn SIGINT and SIGTERM into a future; only the main thread may, elsewhere it is never done."""
+    loop = asyncio.get_running_loop()
+    signalled: asyncio.Future[str] = loop.create_future()
+
+    def arrived(name: str) -> None:
+        if not signalled.done():
+            signalled.set_result(name)
+
+    def handle(number: int, frame: object) -> None:
+        loop.call_soon_threadsafe(arrived, signal.Signals(number).name)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield signalled
+        return
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield signalled
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

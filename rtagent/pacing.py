@@ -1,0 +1,27 @@
+"""Pacing: a cycle on absolute deadlines, with overruns counted."""
+
+from __future__ import annotations
+
+from rtagent.schedule import Overrun
+
+
+class Pacer:
+    """The deadlines of a paced cycle; all times in ns."""
+
+    def __init__(self, period: int, overrun: Overrun, start: int) -> None:
+        self.period, self._overrun = period, overrun
+        self._deadline = start
+        self.overruns = 0
+        self.skipped = 0
+
+    def next(self, now: int) -> int:
+        """Return when the next cycle is to begin, given that the last one has ended `now`."""
+        self._deadline += self.period
+        late = now - self._deadline
+        if late > 0:
+            self.overruns += 1
+            if self._overrun is Overrun.SKIP:
+                missed = -(-late // self.period)
+                self.skipped += missed
+                self._deadline += missed * self.period
+        return self._deadline

@@ -1,0 +1,68 @@
+"""The instrument of every run: component times, sample ages, queue lengths, and what each episode came to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from rtagent.reaction import EpisodeReactions
+from rtagent.schedule import Component
+from rtagent.series import Series
+
+
+MOST_FAULTS = 100
+"""So many different faults are listed; more are counted."""
+
+
+@dataclass
+class EpisodeRecord:
+    """One episode: its reward, steps (transitions) and length (ns), and its reactions."""
+
+    trial: int
+    episode: int
+    began: int
+    ended: int = 0
+    total_reward: float = 0.0
+    steps: int = 0
+    truncated: bool = False
+    reactions: EpisodeReactions = field(default_factory=EpisodeReactions)
+
+    @property
+    def duration(self) -> int:
+        """How long it lasted, in ns."""
+        return self.ended - self.began
+
+
+@dataclass
+class Fault:
+    """Something that failed: when first (ns since the run began), where, what, and how many times."""
+
+    time: int
+    source: str
+    message: str
+    fatal: bool = False
+    traceback: str = ""
+    count: int = 1
+
+
+class Recorder:
+    """Preallocated series of one run. `counters` counts everything dropped, retried, late."""
+
+    def __init__(self) -> None:
+        self.components = {component: Series() for component in Component}
+        self.sample_age = Series()
+        self.queue_length = Series()
+        self.episodes: list[EpisodeRecord] = []
+        self.faults: list[Fault] = []
+        self.counters: Counter[str] = Counter()
+
+    def fault(self, fault: Fault) -> None:
+        """Keep a fault; the same sentence again only adds to its count."""
+        for known in self.faults:
+            if (known.source, known.message, known.fatal) == (fault.source, fault.message, fault.fatal):
+                known.count += 1
+                return
+        if fault.fatal or len(self.faults) < MOST_FAULTS:
+            self.faults.append(fault)
+        else:
+            self.counters["faults_not_listed"] += 1

@@ -1,0 +1,259 @@
+"""The runtime: runs the components of an agent, in the order of its schedule, against its devices.
+
+This is the only module that awaits components.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from numpy.random import Generator
+
+from rtagent.agent import Agent
+from rtagent.clock import Clock
+from rtagent.costs import Costs
+from rtagent.device import Episodic
+from rtagent.errors import ScheduleError
+from rtagent.experience import Command, Outcome
+from rtagent.idling import Idling
+from rtagent.instruments import Hooks
+from rtagent.pacing import Pacer
+from rtagent.reaction import ReactionTimer
+from rtagent.recorder import EpisodeRecord, Recorder
+from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Schedule, prologue
+from rtagent.senses import Senses
+from rtagent.supervision import HangGuard, SupervisedDevice
+from rtagent.task import Task
+from rtagent.units import second
+
+BEGIN_TIMEOUT = 60 * second
+"""Going to the start of an episode may be a slow move of a real arm."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What truncates an episode: its length in ns and in steps (0: nothing does)."""
+
+    episode_time: int = 0
+    episode_steps: int = 0
+
+    def reached(self, elapsed: int, steps: int) -> bool:
+        """Say whether an episode of this length is to be truncated."""
+        return bool(
+            (self.episode_time and elapsed >= self.episode_time)
+            or (self.episode_steps and steps >= self.episode_steps)
+        )
+
+
+class Runtime:
+    """One agent with its devices, task and schedule, under the clock of the running loop."""
+
+    def __init__(
+        self,
+        devices: Mapping[str, SupervisedDevice],
+        task: Task,
+        agent: Agent,
+        schedule: Schedule,
+        *,
+        clock: Clock,
+        guard: HangGuard,
+        recorder: Recorder,
+        hooks: Hooks,
+        costs: Costs,
+        costs_rng: Generator,
+        limits: Limits,
+    ) -> None:
+        self._devices, self._all = devices, tuple(devices.values())
+        self._task, self._agent, self._schedule = task, agent, schedule
+        self._clock, self._now, self._guard = clock, clock.now, guard
+        self._recorder, self._hooks, self._limits = recorder, hooks, limits
+        self._costs, self._costs_rng = (costs if clock.virtual else {}), costs_rng
+        self._reactions = ReactionTimer(task.answers)
+        self._prologue = prologue(schedule.order, agent.learner.needs_next_action)
+        self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose, LEARN: self._learn}
+        self._senses = Senses(self._all, schedule, clock, recorder)
+        self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
+        self._record_component = {name: series.record for name, series in recorder.components.items()}
+        agent.keeps_transitions = schedule.learns
+
+    # What a chooser can ask (schedule.Situation)
+
+    @property
+    def time(self) -> int:
+        """Now, in ns."""
+        return self._now()
+
+    @property
+    def observed_at(self) -> int:
+        """When the newest observation was made, in ns."""
+        return self._observed_at
+
+    @property
+    def queue_length(self) -> int:
+        """How many transitions wait to be learned."""
+        return len(self._agent.queue)
+
+    @property
+    def action_pending(self) -> bool:
+        """Whether an action was chosen that was not yet handed to the devices."""
+        return self._agent.action_pending
+
+    # The main path
+
+    async def run_episode(self, trial: int, episode: int, rngs: Mapping[str, Generator]) -> EpisodeRecord:
+        """Run one episode; `rngs` has a random stream for each device."""
+        await self._begin(trial, episode, rngs)
+        for component in self._prologue:
+            await self._components[component]()
+        chooser = self._schedule.make_chooser()
+        while not self._over:
+            await self._next_cycle()
+            for component in chooser.cycle(self):
+                if not self._over or self._still_runs(component):
+                    await self._components[component]()
+        await self._end()
+        return self._episode
+
+    async def _begin(self, trial: int, episode: int, rngs: Mapping[str, Generator]) -> None:
+        for device in self._all:
+            if isinstance(device.device, Episodic):
+                begun = device.device.begin_episode(rngs[device.name])
+                await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
+        now = self._now()
+        for device in self._all:
+            device.begin_episode(now)
+        self._task.begin()
+        self._agent.begin()
+        self._reactions.begin()
+        self._episode = EpisodeRecord(trial, episode, now)
+        self._over = self._changed = False
+        self._observed_at = now
+        if self._idling:
+            self._idling.begin(now)
+        self._pacer = self._make_pacer(now)
+        self._hooks.call("episode_began", trial, episode, now)
+
+    def _make_pacer(self, now: int) -> Pacer | None:
+        period = self._schedule.period
+        return Pacer(period, self._schedule.overrun, now - period) if period else None
+
+    def _still_runs(self, component: Component) -> bool:
+        """Say whether a component has work once the episode is over: learning, and SARSA's last A'."""
+        return component is LEARN or (component is CHOOSE and self._agent.awaits_next_action)
+
+    async def _end(self) -> None:
+        if self._agent.awaits_next_action:
+            await self._choose()
+        await self._learn()
+        now = self._now()
+        unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
+        self._episode.ended = self._observed_at
+        self._episode.reactions = self._reactions.end(unseen)
+        if self._pacer:
+            self._recorder.counters["overruns"] += self._pacer.overruns
+            self._recorder.counters["skipped_periods"] += self._pacer.skipped
+        self._recorder.episodes.append(self._episode)
+        self._hooks.call("episode_ended", self._episode)
+
+    async def _next_cycle(self) -> None:
+        if self._pacer is not None:
+            await self._clock.sleep_until(self._pacer.next(self._now()))
+        else:
+            await asyncio.sleep(0)
+        if self._idling is not None:
+            await self._idling.cycle_ended(settled=not self._changed and self._agent.repeats_action)
+            self._changed = False
+
+    # The components
+
+    async def _observe(self) -> None:
+        start = self._now()
+        observation, stimuli = await self._senses.observe()
+        now = observation.time
+        outcome = self._limited(self._task.interpret(observation), now)
+        self._episode.total_reward += outcome.reward
+        self._observed_at = now
+        if self._agent.observe(outcome, now) is not None:
+            self._episode.steps += 1
+        if stimuli:
+            self._reactions.observed(stimuli, now)
+        if self._costs:
+            await self._charge(OBSERVE)
+        self._over = outcome.terminated or outcome.truncated
+        self._episode.truncated = outcome.truncated
+        self._done(OBSERVE, start)
+        self._recorder.queue_length.record(len(self._agent.queue))
+        if self._hooks.any:
+            self._hooks.call("observed", observation, stimuli)
+
+    async def _choose(self) -> None:
+        start = self._now()
+        decision = self._agent.choose()
+        if self._costs:
+            await self._charge(CHOOSE)
+        self._reactions.chose()
+        end = self._done(CHOOSE, start)
+        if self._hooks.any:
+            self._hooks.call("chose", decision.action, decision.probability, end)
+
+    async def _act(self) -> None:
+        start = self._now()
+        decision = self._agent.chosen
+        if decision is None or decision.action is None:
+            raise ScheduleError("act comes before anything was chosen: put observe and choose before it.")
+        if self._costs:
+            await self._charge(ACT)
+        sent = await self._send(self._task.commands(decision.action))
+        end = self._done(ACT, start)
+        if sent is None:
+            return
+        self._changed = self._changed or not self._agent.repeats_action
+        self._agent.acted()
+        reactions = self._reactions.acted(decision.action, start, end)
+        if self._hooks.any:
+            self._hooks.call("acted", decision.action, sent, start, end)
+            for reaction in reactions:
+                self._hooks.call("reacted", reaction)
+
+    async def _learn(self) -> None:
+        while self._agent.queue:
+            start = self._now()
+            transition, delta = self._agent.learn()
+            if self._schedule.learn_delay:
+                await self._clock.compute(self._schedule.learn_delay)
+            if self._costs:
+                await self._charge(LEARN)
+            end = self._done(LEARN, start)
+            if self._hooks.any:
+                self._hooks.call("learned", transition, delta, end)
+
+    def _done(self, component: Component, start: int) -> int:
+        end = self._now()
+        self._record_component[component](end - start)
+        if self._hooks.any:
+            self._hooks.call("component", component, start, end)
+        return end
+
+    async def _charge(self, component: Component) -> None:
+        cost = self._costs.get(component)
+        if cost is not None:
+            await self._clock.charge(cost.draw(self._costs_rng))
+
+    async def _send(self, commands: Mapping[str, Command]) -> dict[str, Command] | None:
+        """Hand the commands over; return what was sent, or None unless every device took its own."""
+        sent = {}
+        for name, command in commands.items():
+            taken = await self._devices[name].act(command)
+            if taken is None:
+                return None
+            sent[name] = taken
+        return sent
+
+    def _limited(self, outcome: Outcome, now: int) -> Outcome:
+        if outcome.terminated or outcome.truncated:
+            return outcome
+        if self._limits.reached(now - self._episode.began, self._episode.steps + 1):
+            return outcome._replace(truncated=True)
+        return outcome

@@ -1,0 +1,226 @@
+"""Schedules: the cyclic order of act, observe, choose and learn, as data, with the rules that orders obey.
+
+Thesis, chapter 3: `standard` is the order of Algorithm 2 (SARSA), `reactive` that of Algorithm 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Protocol
+
+from rtagent.errors import ScheduleError
+
+
+class Component(StrEnum):
+    """One of the four components of an agent."""
+
+    ACT = "act"
+    OBSERVE = "observe"
+    CHOOSE = "choose"
+    LEARN = "learn"
+
+
+ACT, OBSERVE, CHOOSE, LEARN = Component
+Order = tuple[Component, ...]
+
+PRESETS: dict[str, tuple[Order, str]] = {
+    "standard": ((ACT, OBSERVE, CHOOSE, LEARN), "learns before it acts on what it saw (Algorithm 2)"),
+    "reactive": ((OBSERVE, CHOOSE, ACT, LEARN), "acts on what it saw at once, then learns (Algorithm 3)"),
+}
+
+
+class Situation(Protocol):
+    """What a chooser can ask of the run, at any moment."""
+
+    @property
+    def time(self) -> int:
+        """Now, in ns."""
+
+    @property
+    def observed_at(self) -> int:
+        """When the newest observation was made, in ns."""
+
+    @property
+    def queue_length(self) -> int:
+        """How many transitions wait to be learned."""
+
+    @property
+    def action_pending(self) -> bool:
+        """Whether an action has been chosen that was not yet handed to the devices."""
+
+
+class Chooser(Protocol):
+    """Gives the components of one cycle, one by one; a list is the simplest form (thesis 6.3.1)."""
+
+    def cycle(self, situation: Situation) -> Iterable[Component]:
+        """Return the components to run until the cycle ends; a generator may look at `situation` between."""
+
+
+@dataclass(frozen=True)
+class ListChooser:
+    """The same list in every cycle."""
+
+    order: Order
+
+    def cycle(self, situation: Situation) -> Iterable[Component]:
+        """Return the list."""
+        return self.order
+
+
+class Overrun(StrEnum):
+    """What a paced run does after a cycle that took longer than its period."""
+
+    SKIP = "skip"
+    CATCH_UP = "catch_up"
+
+
+class Wait(StrEnum):
+    """Whether observe waits for a sample newer than the last, or takes the latest there is."""
+
+    FRESH = "fresh"
+    LATEST = "latest"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """In which order the components run, and how the cycle is paced. Times are in ns.
+
+    `learn_delay` is the thesis's simulated cost of learning, charged for each transition learned. `period`
+    paces the cycle on absolute deadlines (0: as fast as it goes); after an overrun the missed deadlines are
+    skipped or caught up. `observe` waits at most `observe_timeout` for something fresh, then takes the latest.
+    """
+
+    order: Order
+    name: str = "custom"
+    learn_delay: int = 0
+    period: int = 0
+    overrun: Overrun = Overrun.SKIP
+    observe: Wait = Wait.FRESH
+    observe_timeout: int = 100_000_000
+    chooser: Callable[[], Chooser] | None = field(default=None, compare=False)
+
+    @classmethod
+    def preset(cls, name: str, **settings: object) -> Schedule:
+        """Return a preset by its name, with other settings changed; raise `ScheduleError`."""
+        if name not in PRESETS:
+            raise ScheduleError(f"there is no preset {name!r}: use one of {', '.join(PRESETS)}.")
+        return replace(cls(PRESETS[name][0], name), **settings)  # type: ignore[arg-type]  # keys are checked by replace
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", parse_order(self.order))
+        for name in ("learn_delay", "period", "observe_timeout"):
+            if getattr(self, name) < 0:
+                raise ScheduleError(f"schedule.{name} is negative: give a time of 0 or more.")
+
+    @property
+    def acts(self) -> bool:
+        """Whether it controls anything (else the run only predicts or records)."""
+        return ACT in self.order
+
+    @property
+    def learns(self) -> bool:
+        """Whether learning has a place in it (else the agent is frozen)."""
+        return LEARN in self.order
+
+    def make_chooser(self) -> Chooser:
+        """Return a chooser for one episode."""
+        return self.chooser() if self.chooser else ListChooser(self.order)
+
+
+def parse_order(order: Iterable[str]) -> Order:
+    """Return components for their names; raise `ScheduleError` for a name that is none."""
+    try:
+        return tuple(Component(name) for name in order)
+    except ValueError as error:
+        raise ScheduleError(f"{error}: an order holds act, observe, choose and learn.") from None
+
+
+class Fact(StrEnum):
+    """Something that holds, or not, between two components."""
+
+    FRESH = "an observation newer than the last choice"
+    CHOSEN = "an action that was chosen"
+    ACTED = "an act since the last observation"
+    COMPLETE = "a newest transition that has its next action"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a component needs to hold before it, and what holds no more, or newly, after it."""
+
+    component: Component
+    needs: frozenset[Fact] = frozenset()
+    takes: frozenset[Fact] = frozenset()
+    gives: frozenset[Fact] = frozenset()
+    only_if: frozenset[Fact] = frozenset()
+
+
+def rules(needs_next_action: bool) -> tuple[Rule, ...]:
+    """Return the table of rules; a learner such as SARSA leaves a transition incomplete until choose."""
+    closes = frozenset({Fact.COMPLETE} if needs_next_action else ())
+    f = frozenset
+    return (
+        Rule(ACT, needs=f({Fact.CHOSEN}), gives=f({Fact.ACTED})),
+        Rule(OBSERVE, gives=f({Fact.FRESH}), takes=closes, only_if=f({Fact.ACTED})),
+        Rule(OBSERVE, gives=f({Fact.FRESH}), takes=f({Fact.ACTED})),
+        Rule(CHOOSE, needs=f({Fact.FRESH}), takes=f({Fact.FRESH}), gives=f({Fact.CHOSEN, Fact.COMPLETE})),
+        Rule(LEARN, needs=f({Fact.COMPLETE})),
+    )
+
+
+REFUSALS: dict[tuple[Component, Fact], str] = {
+    (ACT, Fact.CHOSEN): "act comes before anything was chosen: put observe and choose before it",
+    (CHOOSE, Fact.FRESH): "choose needs an observation newer than the last choice: put observe between them",
+    (LEARN, Fact.COMPLETE): (
+        "learn comes before choose, but this learner learns from the next action (as SARSA does): "
+        "put choose between observe and learn, or take a learner that does not need it"
+    ),
+}
+
+START = frozenset({Fact.COMPLETE})
+PROLOGUES: tuple[Order, ...] = ((), (OBSERVE,), (OBSERVE, CHOOSE))
+
+
+def prologue(order: Sequence[str], needs_next_action: bool = False) -> Order:
+    """Return what must run once before the first cycle of an episode; raise `ScheduleError`.
+
+    It is the shortest of nothing, observe, and observe with choose, after which every component of the order
+    finds what it needs, in the first cycle and in all that follow.
+    """
+    parsed = parse_order(order)
+    _check_members(parsed)
+    table = rules(needs_next_action)
+    refusal = ""
+    for candidate in PROLOGUES:
+        if CHOOSE in candidate and CHOOSE not in parsed:
+            break
+        refusal = _walk(candidate + parsed * 2, table)
+        if not refusal:
+            return candidate
+    raise ScheduleError(f"the order {', '.join(parsed)} cannot work: {refusal}.")
+
+
+def _check_members(order: Order) -> None:
+    if OBSERVE not in order:
+        raise ScheduleError("the order has no observe: an agent that never looks learns and chooses nothing.")
+    if (ACT in order) != (CHOOSE in order):
+        missing, there = (ACT, CHOOSE) if CHOOSE in order else (CHOOSE, ACT)
+        raise ScheduleError(
+            f"the order has {there} but no {missing}: add it, or leave out both to predict only."
+        )
+
+
+def _walk(order: Order, table: Sequence[Rule]) -> str:
+    """Follow the facts through `order`; return the first refusal, or nothing."""
+    facts = START
+    for component in order:
+        before = facts
+        for rule in table:
+            if rule.component is not component or not rule.only_if <= before:
+                continue
+            for fact in sorted(rule.needs - before):
+                return REFUSALS[component, fact]
+            facts = (facts - rule.takes) | rule.gives
+    return ""

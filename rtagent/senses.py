@@ -1,0 +1,87 @@
+"""The senses: from the newest sample of every device to an observation."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from rtagent.clock import Clock
+from rtagent.errors import DeviceError
+from rtagent.experience import Observation, Sample, Stimulus
+from rtagent.recorder import Recorder
+from rtagent.schedule import Schedule, Wait
+from rtagent.supervision import SupervisedDevice
+from rtagent.units import describe, second
+
+NOTHING: frozenset[str] = frozenset()
+
+
+class Senses:
+    """Reads the devices; waits for something fresh where the schedule says so."""
+
+    def __init__(
+        self, devices: Sequence[SupervisedDevice], schedule: Schedule, clock: Clock, recorder: Recorder
+    ) -> None:
+        self._devices, self._clock, self._recorder = devices, clock, recorder
+        self._waits = schedule.observe is Wait.FRESH
+        self._timeout = schedule.observe_timeout
+
+    async def observe(self) -> tuple[Observation, list[Stimulus]]:
+        """Return an observation, and the stimuli that it is the first to contain."""
+        if self._waits and len(self._devices) == 1:
+            await self._wait_for_one(self._devices[0])
+        else:
+            await self._read_all()
+        samples = {device.name: device.sample or await self._first_sample(device) for device in self._devices}
+        now = self._clock.now()
+        stimuli = [stimulus for device in self._devices for stimulus in device.new_stimuli()]
+        return Observation(now, samples, self._stale(samples, now)), stimuli
+
+    async def _wait_for_one(self, device: SupervisedDevice) -> None:
+        if not await device.wait(self._timeout):
+            self._recorder.counters["observe_timeouts"] += 1
+
+    async def _read_all(self) -> None:
+        fresh = False
+        for device in self._devices:
+            fresh = await device.read(-1) or fresh
+        if self._waits and not fresh:
+            await self._wait_for_any()
+
+    async def _wait_for_any(self) -> None:
+        """Wait until some device has a new sample, at most for the schedule's time-out."""
+        limit = self._timeout / second
+        readings = {
+            asyncio.ensure_future(device.device.read(device.sequence)): device
+            for device in self._devices
+            if not device.failing
+        }
+        if not readings:
+            await asyncio.sleep(limit)
+            return
+        done, late = await asyncio.wait(readings, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
+        for reading in late:
+            reading.cancel()
+        if late:
+            await asyncio.wait(late, timeout=limit)
+        if not any([readings[reading].take(reading) for reading in done]):
+            self._recorder.counters["observe_timeouts"] += 1
+
+    async def _first_sample(self, device: SupervisedDevice) -> Sample:
+        """Wait for a device's first valid sample: nothing is chosen, and nothing moves, before it."""
+        deadline = self._clock.now() + device.supervision.timeout
+        while device.sample is None:
+            left = deadline - self._clock.now()
+            if left <= 0:
+                raise DeviceError(
+                    f"device {device.name!r} gave no valid sample within {describe(device.supervision.timeout)} "
+                    "of the beginning of an episode: check its connection, or give it a longer timeout."
+                )
+            await device.wait(left)
+        return device.sample
+
+    def _stale(self, samples: dict[str, Sample], now: int) -> frozenset[str]:
+        for sample in samples.values():
+            self._recorder.sample_age.record(now - sample.world_time)
+        stale = [device.name for device in self._devices if device.stale(now)]
+        return frozenset(stale) if stale else NOTHING

@@ -1,0 +1,34 @@
+"""Series: preallocated arrays that instruments write to."""
+
+from __future__ import annotations
+
+from array import array
+
+CAPACITY = 1 << 16
+"""How many values a series keeps: the newest; its count and maximum are of all."""
+
+
+class Series:
+    """A preallocated ring of integers (ns or counts) that knows its true count and maximum."""
+
+    __slots__ = ("_capacity", "_values", "count", "maximum")
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._values = array("q", bytes(8 * capacity))
+        self._capacity = capacity
+        self.count = 0
+        self.maximum = 0
+
+    def record(self, value: int) -> None:
+        """Keep one value."""
+        self._values[self.count % self._capacity] = value
+        self.count += 1
+        if value > self.maximum:
+            self.maximum = value
+
+    def values(self) -> list[int]:
+        """Return the values kept, the oldest first."""
+        if self.count <= self._capacity:
+            return self._values[: self.count].tolist()
+        start = self.count % self._capacity
+        return (self._values[start:] + self._values[:start]).tolist()

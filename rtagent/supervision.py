@@ -1,0 +1,348 @@
+"""Supervision of devices: deadlines, a retry budget, staleness, counters, and the way to safety.
+
+One transient error never ends a run; a dead device never hangs one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from rtagent.clock import Clock
+from rtagent.device import Counting, Device, Stimulating
+from rtagent.errors import DeviceError, DisconnectedError
+from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.specs import Spec
+from rtagent.units import describe, ms, second
+
+T = TypeVar("T")
+
+FIRST_PAUSE = 1 * ms
+LONGEST_PAUSE = 50 * ms
+OPEN_TIMEOUT = 10 * second
+SAFE_TIMEOUT = 1 * second
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """How patient the runtime is with a device; times in ns.
+
+    `timeout` is the retry budget: how long calls may fail or hang before the run is ended safely. A sample
+    older than `stale_after` is marked stale in the observation (0: never).
+    """
+
+    timeout: int = 500 * ms
+    stale_after: int = 0
+
+
+class DeadDeviceError(DeviceError):
+    """A device failed for longer than its retry budget."""
+
+
+class HangGuard:
+    """Cancels the running task when an awaited call is overdue: one timer for all calls, not one each.
+
+    A call that does not even yield to cancellation sets `stuck`; whoever waits for that gives the task up.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._now = clock.now
+        self._loop = asyncio.get_running_loop()
+        self._task: asyncio.Task[object] | None = None
+        self._deadline = 0
+        self._limit = 0
+        self._timer: asyncio.TimerHandle | None = None
+        self._cancelled = False
+        self._what = ""
+        self.stuck: asyncio.Future[str] = self._loop.create_future()
+
+    async def bound(self, call: Awaitable[T], limit: int, what: str) -> T:
+        """Await `call` for at most `limit` (ns); raise TimeoutError where it takes longer."""
+        self._what, self._limit = what, limit
+        self._deadline = self._now() + limit
+        if self._timer is None:
+            self._watch(limit)
+        try:
+            return await call
+        except asyncio.CancelledError:
+            if not self._take_back_cancellation():
+                raise
+            raise TimeoutError(f"no answer within {describe(limit)}") from None
+        finally:
+            self._deadline = 0
+            self._cancelled = False
+
+    def close(self) -> None:
+        """Stop watching."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _take_back_cancellation(self) -> bool:
+        if not self._cancelled:
+            return False
+        task = asyncio.current_task()
+        return task is not None and task.uncancel() == 0
+
+    def _watch(self, delay: int) -> None:
+        self._task = self._task or asyncio.current_task()
+        self._timer = self._loop.call_later(delay / 1e9, self._look)
+
+    def _look(self) -> None:
+        self._timer = None
+        if not self._deadline:
+            return
+        left = self._deadline - self._now()
+        if left > 0:
+            self._watch(left)
+        elif not self._cancelled and self._task is not None:
+            self._cancelled = True
+            self._task.cancel()
+            self._deadline = self._now() + self._limit
+            self._watch(self._limit)
+        elif not self.stuck.done():
+            self.stuck.set_result(self._what)
+
+
+class SupervisedDevice:
+    """A device with its newest valid sample, its counters, and its health."""
+
+    def __init__(
+        self,
+        name: str,
+        device: Device,
+        supervision: Supervision,
+        clock: Clock,
+        guard: HangGuard,
+        report: Callable[[str, str], None],
+    ) -> None:
+        self.name, self.device, self.supervision = name, device, supervision
+        self._clock, self._guard, self._report = clock, guard, report
+        sensors = device.spec.sensors.items()
+        self._ranges = [(sensor, spec.low, spec.high) for sensor, spec in sensors if _plain(spec)]
+        self._others = [(sensor, spec) for sensor, spec in sensors if not _plain(spec)]
+        self._stimulating = device if isinstance(device, Stimulating) else None
+        self._counts: Counter[str] = Counter()
+        self._failing_since: int | None = None
+        self._last_error = ""
+        self._retry_at = 0
+        self._pause = FIRST_PAUSE
+        self._reopening: asyncio.Task[None] | None = None
+        self.sample: Sample | None = None
+        self.sequence = -1
+        self._stimuli_until = 0
+
+    async def open(self) -> None:
+        """Open the device; raises what it raises, or TimeoutError."""
+        await self._guard.bound(self.device.open(), OPEN_TIMEOUT, f"{self.name}.open")
+
+    def begin_episode(self, time: int) -> None:
+        """Forget the samples of before `time`, when the device was brought to the start of an episode."""
+        self.sample = None
+        self.sequence = -1
+        self._stimuli_until = time - 1
+
+    async def read(self, newer_than: int) -> bool:
+        """Take the newest sample; say whether it is new. Errors are counted; raises `DeadDeviceError`."""
+        if self._failing_since is not None and not self._may_retry():
+            return False
+        try:
+            sample = await self._bounded(self.device.read(newer_than), "read")
+        except Exception as error:
+            self._failed("read", error)
+            return False
+        self._failing_since = None
+        return self._accept(sample)
+
+    async def wait(self, limit: int) -> bool:
+        """Wait at most `limit` (ns) for a new sample; say whether there is one."""
+        if self._failing_since is not None:
+            await self._clock.sleep_until(min(self._retry_at, self._clock.now() + limit))
+            return await self.read(-1)
+        try:
+            sample = await self._guard.bound(self.device.read(self.sequence), limit, f"{self.name}.read")
+        except TimeoutError:
+            return await self.read(-1)
+        except Exception as error:
+            self._failed("read", error)
+            return False
+        return self._accept(sample)
+
+    def take(self, reading: asyncio.Task[Sample]) -> bool:
+        """Take the sample of a finished reading; say whether it is new."""
+        error = reading.exception()
+        if error is None:
+            return self._accept(reading.result())
+        if isinstance(error, Exception):
+            self._failed("read", error)
+        return False
+
+    @property
+    def failing(self) -> bool:
+        """Whether the last call failed."""
+        return self._failing_since is not None
+
+    async def act(self, command: Command) -> Command | None:
+        """Send a command; return what was sent, or None where it could not be (counted)."""
+        if self._failing_since is None or self._may_retry():
+            try:
+                sent = await self._bounded(self.device.act(command), "act")
+            except Exception as error:
+                self._failed("act", error)
+            else:
+                self._failing_since = None
+                return sent
+        self._counts["commands_not_sent"] += 1
+        return None
+
+    def stale(self, now: int) -> bool:
+        """Say whether the newest sample is older than declared, and count it if so."""
+        limit = self.supervision.stale_after
+        if not limit or self.sample is None or now - self.sample.world_time <= limit:
+            return False
+        self._counts["stale"] += 1
+        return True
+
+    def new_stimuli(self, until: int | None = None) -> Sequence[Stimulus]:
+        """Return the stimuli up to the newest sample (or up to `until`, ns) that were not returned before."""
+        if self._stimulating is None or self.sample is None:
+            return ()
+        after = self._stimuli_until
+        end = self.sample.world_time if until is None else until
+        if end <= after:
+            return ()
+        self._stimuli_until = end
+        return self._stimulating.stimuli(after, end)
+
+    async def make_safe(self) -> None:
+        """Make the device safe; raises what it raises."""
+        self.stop_reopening()
+        await self.device.make_safe()
+
+    def stop_reopening(self) -> None:
+        """Give up opening the device anew."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was dropped, retried, late or damaged, as far as it happened."""
+        own = self.device.counters if isinstance(self.device, Counting) else {}
+        return {name: count for name, count in (Counter(own) + self._counts).items() if count}
+
+    async def _bounded(self, call: Awaitable[T], verb: str) -> T:
+        timeout = self.supervision.timeout
+        if self._failing_since is not None:
+            timeout -= self._clock.now() - self._failing_since
+        return await self._guard.bound(call, max(timeout, FIRST_PAUSE), f"{self.name}.{verb}")
+
+    def _may_retry(self) -> bool:
+        now = self._clock.now()
+        since = self._failing_since if self._failing_since is not None else now
+        if now - since >= self.supervision.timeout:
+            raise DeadDeviceError(
+                f"device {self.name!r} has not answered for {describe(now - since)}, "
+                f"its retry budget is {describe(self.supervision.timeout)}; last error: {self._last_error}."
+            )
+        if self._reopening is not None and not self._reopening.done():
+            return False
+        if now < self._retry_at:
+            return False
+        self._counts["retries"] += 1
+        return True
+
+    def _failed(self, verb: str, error: Exception) -> None:
+        now = self._clock.now()
+        self._last_error = f"{verb} raised {error!r}"
+        self._counts[f"{verb}_errors"] += 1
+        self._report(self.name, self._last_error)
+        if self._failing_since is None:
+            hung = self.supervision.timeout if isinstance(error, TimeoutError) else 0
+            self._failing_since = now - hung
+            self._pause = FIRST_PAUSE
+        self._retry_at = now + self._pause
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        if isinstance(error, DisconnectedError) and (self._reopening is None or self._reopening.done()):
+            self._reopening = asyncio.get_running_loop().create_task(self._reopen())
+
+    async def _reopen(self) -> None:
+        pause = FIRST_PAUSE
+        while True:
+            await self._clock.sleep_until(self._clock.now() + pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+            with contextlib.suppress(Exception):
+                await self.device.close()
+                await self.device.open()
+                self._counts["reopened"] += 1
+                return
+
+    def _accept(self, sample: Sample) -> bool:
+        if sample.sequence <= self.sequence:
+            return False
+        self.sequence = sample.sequence
+        if not self._valid(sample.values):
+            self._counts["invalid_samples"] += 1
+            self._report(self.name, self._why_invalid(sample.values))
+            return False
+        self.sample = sample
+        return True
+
+    def _valid(self, values: Values) -> bool:
+        try:
+            for name, low, high in self._ranges:
+                if not low <= values[name] <= high:  # NaN fails too
+                    return False
+            return all(spec.problem(values[name]) is None for name, spec in self._others)
+        except (KeyError, TypeError, ValueError):
+            return False
+
+    def _why_invalid(self, values: Values) -> str:
+        for name, spec in self.device.spec.sensors.items():
+            problem = spec.problem(values[name]) if name in values else "it is not in the sample"
+            if problem is not None:
+                return f"a sample was not usable, sensor {name!r}: {problem}; expected {spec}"
+        return "a sample was not usable"
+
+
+def _plain(spec: Spec) -> bool:
+    return spec.shape == () and spec.dtype != "int"
+
+
+async def make_all_safe(devices: Sequence[SupervisedDevice], clock: Clock) -> list[str]:
+    """Make every device safe, all at once, each within a second; return a sentence for each that failed."""
+    return await _each(devices, lambda device: device.make_safe(), "could not be made safe", clock)
+
+
+async def close_all(devices: Sequence[SupervisedDevice], clock: Clock) -> list[str]:
+    """Close every device, all at once, each within a second; return a sentence for each that failed."""
+    return await _each(devices, lambda device: device.device.close(), "could not be closed", clock)
+
+
+async def _each(
+    devices: Sequence[SupervisedDevice],
+    call: Callable[[SupervisedDevice], Awaitable[None]],
+    failure: str,
+    clock: Clock,
+) -> list[str]:
+    tasks = {asyncio.ensure_future(_call(call, device)): device for device in devices}
+    if not tasks:
+        return []
+    done, late = await asyncio.wait(tasks, timeout=SAFE_TIMEOUT / second)
+    for task in late:
+        task.cancel()
+    sentences = [
+        f"device {tasks[task].name!r} {failure}: {error!r}."
+        for task in done
+        if (error := task.exception()) is not None
+    ]
+    return sentences + [
+        f"device {tasks[task].name!r} {failure} within {describe(SAFE_TIMEOUT)}: it does not answer."
+        for task in late
+    ]
+
+
+async def _call(call: Callable[[SupervisedDevice], Awaitable[None]], device: SupervisedDevice) -> None:
+    await call(device)

@@ -1,0 +1,69 @@
+"""What a task is: it gives observations a meaning, and actions an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from rtagent.errors import SpecError
+from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.specs import DeviceSpec, Spec, Value
+
+
+class Task(Protocol):
+    """Turns observations into state, reward and termination, and actions into device commands.
+
+    `state` names the signals of the state with their specs; `actions` names the actions (none in a task that
+    only predicts).
+    """
+
+    state: Mapping[str, Spec]
+    actions: Sequence[str]
+
+    def bind(self, devices: Mapping[str, DeviceSpec]) -> None:
+        """Check, before a run, that the devices have what the task needs; raise `SpecError`."""
+
+    def begin(self) -> None:
+        """Begin an episode: forget the last one."""
+
+    def interpret(self, observation: Observation) -> Outcome:
+        """Return the state, the reward since the last call, and whether the episode ends."""
+
+    def commands(self, action: int) -> Mapping[str, Command]:
+        """Return the command for each device, by its name, that carries out `action`."""
+
+    def answers(self, action: int, stimulus: Stimulus) -> bool:
+        """Say whether `action` is the correct answer to `stimulus` (for the response time)."""
+
+
+def require(devices: Mapping[str, DeviceSpec], device: str, sensors: Sequence[str], actuators: Sequence[str]) -> None:
+    """Raise `SpecError` unless `device` is there with these sensors and actuators."""
+    if device not in devices:
+        there = ", ".join(devices) or "none"
+        raise SpecError(f"the task needs a device named {device!r}; the scenario has {there}.")
+    spec = devices[device]
+    for kind, needed, has in (("sensor", sensors, spec.sensors), ("actuator", actuators, spec.actuators)):
+        for name in needed:
+            if name not in has:
+                there = ", ".join(has) or "none"
+                raise SpecError(f"the task needs the {kind} {name!r} of device {device!r}, which has {there}.")
+
+
+class RewardMeter:
+    """Turns a reward that a world sums up since the episode began into rewards since the last look.
+
+    Nothing of it is lost or counted twice when samples are.
+    """
+
+    def __init__(self) -> None:
+        self._seen = 0.0
+
+    def begin(self) -> None:
+        """Begin an episode, in which nothing was earned yet."""
+        self._seen = 0.0
+
+    def since_last(self, total: Value) -> float:
+        """Return what was earned since the last call."""
+        reward = float(total) - self._seen
+        self._seen = float(total)
+        return reward

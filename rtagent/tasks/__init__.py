@@ -1,0 +1,6 @@
+"""Tasks: what observations mean, and what actions do."""
+
+from rtagent.tasks.hallway import HallwayTask
+from rtagent.tasks.stopping import Stopping
+
+__all__ = ["HallwayTask", "Stopping"]
