@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from numpy.random import Generator
 
 from rtagent.agent import Agent
-from rtagent.clock import Clock, current
+from rtagent.clock import current
 from rtagent.costs import Costs
 from rtagent.device import Device, Foreseeing
 from rtagent.errors import DeviceError, RtagentError, RunStuckError, ScheduleError
@@ -21,7 +21,7 @@ from rtagent.instruments import Hooks
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import Result, RunError
 from rtagent.runtime import Limits, Runtime
-from rtagent.schedule import Schedule, prologue
+from rtagent.schedule import Schedule
 from rtagent.streams import stream
 from rtagent.supervision import HangGuard, SupervisedDevice, Supervision, close_all, make_all_safe
 from rtagent.task import Task
@@ -107,7 +107,8 @@ class _Life:
         self._agents: list[Agent] = []
         self._not_safe: list[str] = []
         task.bind({name: device.spec for name, device in devices.items()})
-        _refuse_stuck(devices, schedule, costs, self._clock, plan)
+        if self._clock.virtual:
+            refuse_stuck(devices, schedule, costs, plan)
 
     async def live(self) -> Result:
         work = asyncio.ensure_future(self._work())
@@ -229,13 +230,11 @@ def _sentence(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
-def _refuse_stuck(
-    devices: Mapping[str, Device], schedule: Schedule, costs: Costs, clock: Clock, plan: Plan
-) -> None:
-    """Refuse a virtual run whose time could never advance."""
+def refuse_stuck(devices: Mapping[str, Device], schedule: Schedule, costs: Costs, plan: Plan) -> None:
+    """Refuse a virtual run whose time could never advance; raise `RunStuckError`."""
     moves = schedule.learn_delay or schedule.period or any(cost.low or cost.high for cost in costs.values())
     foreseen = any(isinstance(device, Foreseeing) or device.spec.synchronous for device in devices.values())
-    if clock.virtual and not moves and not foreseen and not plan.limits.episode_time:
+    if not moves and not foreseen and not plan.limits.episode_time:
         raise RunStuckError(
             "virtual time could never advance: no component costs anything and no device knows its next event. "
             "Give a component a cost, or schedule.period or schedule.learn_delay a value."

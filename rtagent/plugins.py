@@ -41,7 +41,7 @@ def load(group: str, name: str) -> Plugin:
     if (group, name) in _registered:
         return _registered[group, name]
     if name not in _installed(group):
-        raise PluginError(f"there is no plug-in {name!r} among the {group}{did_you_mean(name, names(group))}.")
+        raise PluginError(f"there is no plug-in {name!r} among the {group}{did_you_mean(name, names(group))}")
     try:
         plugin: Plugin = _installed(group)[name].load()
     except Exception as error:
@@ -70,9 +70,9 @@ def build(plugin: Plugin, given: dict[str, Any], **context: Any) -> Any:
 
 
 def did_you_mean(name: str, known: list[str]) -> str:
-    """Return a hint at the nearest of the known names, or at all of them."""
+    """Return the end of a sentence: a hint at the nearest of the known names, or at all of them."""
     near = get_close_matches(name, known, n=1)
-    return f": did you mean {near[0]!r}?" if near else f"; there are {', '.join(known) or 'none'}"
+    return f": did you mean {near[0]!r}?" if near else f": use one of {', '.join(known)}." if known else "."
 
 
 @cache

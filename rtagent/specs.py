@@ -109,9 +109,11 @@ class Spec:
 class DeviceSpec:
     """What a device measures and what it can be told: a `Spec` by name for each signal.
 
-    `synchronous` devices change only when acted upon: no time passes in them by itself.
+    `rate` is how often it is sampled, in Hz (0: as of now, whenever it is read). A `synchronous` device changes
+    only when acted upon: no time passes in it by itself.
     """
 
     sensors: Mapping[str, Spec] = field(default_factory=dict)
     actuators: Mapping[str, Spec] = field(default_factory=dict)
+    rate: float = 0.0
     synchronous: bool = False

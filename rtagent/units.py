@@ -43,10 +43,14 @@ class Quantity:
 
     def format(self, value: float | int) -> str:
         """Write `value` so that `parse` returns exactly it again, in the largest unit that reads well."""
-        for unit, scale in sorted(self.units.items(), key=lambda item: -item[1]):
-            if self.whole and value % int(scale) == 0:
-                return f"{int(value) // int(scale)}{unit}"
-        return f"{value!r}{next(iter(self.units))}"
+        base = next(iter(self.units))
+        if not self.whole or value == 0:
+            return f"{value!r}{base}"
+        unit, scale = max(
+            ((unit, int(scale)) for unit, scale in self.units.items() if value % int(scale) == 0),
+            key=lambda item: item[1],
+        )
+        return f"{int(value) // scale}{unit}"
 
     def _parse_text(self, text: str) -> float | int:
         match = _NUMBER.fullmatch(text)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 from numpy.random import Generator
@@ -107,8 +107,8 @@ class FakeDevice:
     """A world as a device."""
 
     def __init__(self, world: World, sampling: Sampling | None = None, faults: Faults | None = None) -> None:
-        self.world, self.spec = world, world.spec
         self._sampling, self._faults = sampling or Sampling(), faults or Faults()
+        self.world, self.spec = world, replace(world.spec, rate=self._sampling.rate)
         if self._faults.in_stream and not self._sampling.rate:
             raise SpecError("faults in the stream of samples (drop, duplicate, corrupt, late) need sampling.rate.")
         self._troubles = bool(self._faults.raise_at or self._faults.hang_at or self._faults.disconnect)

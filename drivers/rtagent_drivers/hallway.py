@@ -1,7 +1,8 @@
 """Hallway-World (thesis, section 3.2, figure 3.1): up a hallway, then left through its opening.
 
 The hallway reaches from x = 0 to `width` and from y = 0 to `length`; at its upper end a passage of height
-`opening` leads left to the goal at x = -`passage`. The agent only sees whether there is a wall on its left.
+`opening` leads left to the goal at x = -`passage`. It starts
+somewhere in the range `start`, and only sees whether there is a wall on its left.
 """
 
 from __future__ import annotations
@@ -32,7 +33,11 @@ class Floor:
     width: float
     opening: float
     passage: float
-    start: float
+    start: tuple[float, float]
+
+    def draw_start(self, rng: Generator) -> tuple[float, float]:
+        """Return a place (x, y) near the bottom."""
+        return self.width / 2, float(rng.uniform(*self.start))
 
     def wall_left(self, y: float) -> bool:
         """Say whether there is a wall to the left at height `y`."""
@@ -91,7 +96,7 @@ class HallwayWorld:
     def begin(self, now: int, rng: Generator) -> None:
         """Put the agent at its start, at rest."""
         self._start = now
-        self._legs = [_Leg(now, None, self._floor.width / 2, self._floor.start, None)]
+        self._legs = [_Leg(now, None, *self._floor.draw_start(rng), None)]
         self._hits: list[int] = []
         self._openings: list[int] = []
         self._arrival: int | None = None
@@ -179,7 +184,7 @@ class SynchronousHallwayWorld:
 
     def begin(self, now: int, rng: Generator) -> None:
         """Put the agent at its start."""
-        self._x, self._y = self._floor.width / 2, self._floor.start
+        self._x, self._y = self._floor.draw_start(rng)
         self._reward, self._steps = 0.0, 0
 
     def values(self, time: int) -> Values:
@@ -219,7 +224,7 @@ def hallway(
     width: Length = 0.2,
     opening: Length = 0.3,
     passage: Length = 0.2,
-    start: Length = 0.1,
+    start: tuple[Length, Length] = (0.05, 0.15),
     speed: Speed = 2.0,
     synchronous: bool = False,
     step: Length = 0.1,
@@ -227,8 +232,10 @@ def hallway(
     faults: Faults | None = None,
 ) -> FakeDevice:
     """Hallway-World (thesis, figure 3.1), which goes on by itself, or step by step if synchronous."""
-    if not (min(length, width, opening, passage, speed, step) > 0 and 0 <= start < length - opening < length):
-        raise SpecError("lengths and speed are above 0, and the start lies below the opening, within the hallway.")
+    if min(length, width, opening, passage, speed, step) <= 0:
+        raise SpecError("the lengths, the speed and the step are above 0.")
+    if not 0 <= start[0] <= start[1] < length - opening:
+        raise SpecError("start is [lowest, highest], in this order, from 0 to below the opening.")
     floor = Floor(length, width, opening, passage, start)
     world = SynchronousHallwayWorld(floor, speed, step) if synchronous else HallwayWorld(floor, speed)
     return FakeDevice(world, sampling, faults)

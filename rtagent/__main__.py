@@ -1,0 +1,115 @@
+"""The command line. Everything heavy is imported only by the command that needs it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+DONE, FAULT, USAGE = 0, 1, 2
+
+EPILOG = (
+    "Exit codes: 0 done; 1 a fault in the run, or it was stopped by a signal (devices were made safe); "
+    "2 bad scenario or usage."
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    arguments = _parser().parse_args(argv)
+    command: Callable[[argparse.Namespace], int] = arguments.command
+    try:
+        return command(arguments)
+    except BrokenPipeError:
+        sys.stderr.close()
+        return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="rtagent",
+        description="An asyncio real-time agent runtime: schedules as data, reaction time in every run.",
+        epilog=EPILOG,
+    )
+    parser.add_argument("--version", action="version", version=f"rtagent {_version()}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    _add_run(commands)
+    _add_check(commands)
+    _add_list(commands)
+    schema = commands.add_parser("schema", help="print the JSON schema of scenario files, for editors")
+    schema.set_defaults(command=_schema)
+    return parser
+
+
+def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    run = commands.add_parser("run", help="run a scenario", epilog=EPILOG)
+    run.add_argument("scenario", help="a scenario file, such as scenarios/stopping.toml")
+    run.add_argument("--clock", choices=("real", "virtual"), help="run in real time, or as fast as it goes")
+    run.add_argument("--trials", type=int, metavar="N", help="each trial begins with a new agent")
+    run.add_argument("--episodes", type=int, metavar="N", help="episodes of each trial")
+    run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
+    run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
+    run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
+    _add_set(run)
+    run.set_defaults(command=_run)
+
+
+def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    check = commands.add_parser("check", help="validate and explain scenarios; run nothing")
+    check.add_argument("scenarios", nargs="+", metavar="scenario")
+    _add_set(check)
+    check.set_defaults(command=_check)
+
+
+def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    groups = ("drivers", "tasks", "features", "learners", "policies", "schedules")
+    listing = commands.add_parser("list", help="list what is installed, with one line each")
+    listing.add_argument("group", choices=groups)
+    listing.set_defaults(command=_list)
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="set any key of the scenario, such as schedule.learn_delay=250ms (may be repeated)",
+    )
+
+
+def _version() -> str:
+    from rtagent import __version__
+
+    return __version__
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.run import run_command
+
+    return run_command(arguments)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.check import check_command
+
+    return check_command(arguments)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.listing import list_command
+
+    return list_command(arguments)
+
+
+def _schema(arguments: argparse.Namespace) -> int:
+    import json
+
+    from rtagent.scenario import json_schema
+
+    sys.stdout.write(json.dumps(json_schema(), indent=2) + "\n")
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

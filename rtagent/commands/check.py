@@ -1,0 +1,66 @@
+"""`rtagent check`: validate scenarios and say what they would do; nothing is opened, nothing runs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+
+from rtagent.errors import ScenarioError
+from rtagent.scenario import Assembly, Scenario, assemble, load
+from rtagent.units import describe
+
+
+def check_command(arguments: argparse.Namespace) -> int:
+    """Check every file; return 0 where all are right, else 2."""
+    code = 0
+    for path in arguments.scenarios:
+        try:
+            scenario = load(path, arguments.set)
+            assembly = assemble(scenario)
+        except ScenarioError as error:
+            sys.stderr.write(f"{error}\n")
+            code = 2
+        else:
+            sys.stdout.write("\n".join([f"{path}: right", *(f"  {line}" for line in explain(scenario, assembly)), ""]))
+    return code
+
+
+def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
+    """Yield what a scenario would do, a line for each part, and what may surprise."""
+    if scenario.model.description:
+        yield scenario.model.description
+    run = scenario.model.run
+    yield f"{run.trials} × {run.episodes} episodes, {run.clock} clock, seed {run.seed}"
+    for name, device in assembly.devices.items():
+        sensors, actuators = ", ".join(device.spec.sensors) or "none", ", ".join(device.spec.actuators) or "none"
+        yield f"device {name} ({scenario.devices[name].name}): senses {sensors}; takes {actuators}"
+    yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
+    kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
+    yield f"agent: {', '.join(kinds)}"
+    yield from _explain_schedule(assembly)
+    yield from _warnings(scenario, assembly)
+
+
+def _explain_schedule(assembly: Assembly) -> Iterator[str]:
+    schedule = assembly.schedule
+    first = f"first {', '.join(assembly.prologue)}; then " if assembly.prologue else ""
+    yield f"schedule {schedule.name}: {first}{', '.join(schedule.order)}, again and again"
+    if schedule.learn_delay:
+        yield f"learning costs {describe(schedule.learn_delay)} more for each transition"
+    if schedule.period:
+        yield f"a cycle every {describe(schedule.period)}; after a late one: {schedule.overrun.value}"
+
+
+def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
+    schedule = assembly.schedule
+    sampled = any(device.spec.rate for device in assembly.devices.values())
+    synchronous = any(device.spec.synchronous for device in assembly.devices.values())
+    paced = schedule.period or schedule.learn_delay or (sampled and schedule.observe == "fresh")
+    if scenario.model.run.clock == "real" and not paced and not synchronous:
+        yield "note: nothing paces this loop, so it will keep a core busy; give schedule.period a value."
+    if synchronous and not (scenario.model.run.episode_steps or scenario.model.run.episode_time):
+        yield "note: nothing bounds an episode of this synchronous world; give run.episode_steps a value."
+    costs = [component.value for component in assembly.costs]
+    if costs and scenario.model.run.clock == "real":
+        yield f"note: costs ({', '.join(costs)}) are charged under the virtual clock only."

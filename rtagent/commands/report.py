@@ -1,0 +1,90 @@
+"""What a run came to, for people: a table of times, a small histogram of reactions, counters and faults."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TextIO
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from rtagent.result import Result
+from rtagent.summary import Summary
+from rtagent.units import describe
+
+BINS = 10
+BAR_WIDTH = 40
+
+
+def print_report(result: Result, out: TextIO) -> None:
+    """Print a result."""
+    console = Console(file=out, highlight=False)
+    console.print()
+    console.print(_times(result))
+    if result.reaction_times:
+        console.print("\n[bold]reaction times[/bold]")
+        for line in histogram(result.reaction_times):
+            console.print(line)
+    _print_returns(console, result)
+    _print_counters(console, result)
+    for fault in result.faults:
+        times = f" ({fault.count} times)" if fault.count > 1 else ""
+        console.print(f"[bold]fault[/bold] at {describe(fault.time)}: {escape(fault.source)}: {escape(fault.message)}{times}")
+
+
+def _times(result: Result) -> Table:
+    table = Table("time", "count", "median", "p90", "p99", "max", "missed", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    rows: list[tuple[str, Summary, bool]] = [("reaction", result.reaction_time, True)]
+    rows += [(f"  {part}", summary, False) for part, summary in result.reaction_parts().items()]
+    rows += [("response", result.response_time, True)]
+    rows += [(name, summary, False) for name, summary in result.components().items()]
+    for name, summary, misses in rows:
+        if summary.count or summary.missed:
+            table.add_row(name, *_cells(summary), str(summary.missed) if misses else "")
+    return table
+
+
+def _cells(summary: Summary) -> list[str]:
+    times = (summary.median, summary.p90, summary.p99, summary.maximum)
+    return [str(summary.count), *(describe(time) if summary.count else "" for time in times)]
+
+
+def histogram(times: Sequence[int]) -> list[str]:
+    """Return a histogram of times (ns) as lines of text, one for each of ten equal parts."""
+    counts, edges = np.histogram(times, bins=BINS, range=(0, max(times) or 1))
+    width = max(len(describe(edge)) for edge in edges)
+    return [
+        f"  {describe(edges[i]):>{width}} to {describe(edges[i + 1]):>{width}}  {_bar(count, counts.max())} {count}"
+        for i, count in enumerate(counts)
+    ]
+
+
+def _bar(count: int, most: int) -> str:
+    return "█" * round(BAR_WIDTH * count / most)
+
+
+def _print_returns(console: Console, result: Result) -> None:
+    returns = [episode.total_reward for episode in result.episodes]
+    if returns:
+        last = returns[-10:]
+        console.print(
+            f"\nreturn: mean {np.mean(returns):.4g} over {len(returns)} episodes, "
+            f"{np.mean(last):.4g} over the last {len(last)}"
+        )
+
+
+def _print_counters(console: Console, result: Result) -> None:
+    counts = {name: count for name, count in result.recorder.counters.items() if count}
+    counts |= {
+        f"{device}.{name}": count
+        for device, counters in result.device_counters.items()
+        for name, count in counters.items()
+    }
+    if result.anticipated:
+        counts["anticipated_stimuli"] = result.anticipated
+    if counts:
+        console.print("counted: " + ", ".join(f"{escape(name)} {count}" for name, count in sorted(counts.items())))

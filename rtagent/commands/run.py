@@ -1,0 +1,87 @@
+"""`rtagent run`: run a scenario, show its progress, print and write its results."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rtagent import clock
+from rtagent.commands.progress import Progress
+from rtagent.commands.report import print_report
+from rtagent.errors import RtagentError, ScenarioError
+from rtagent.result import Result, RunError
+from rtagent.scenario import Scenario, assemble, load
+
+
+def run_command(arguments: argparse.Namespace) -> int:
+    """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
+    try:
+        _check_output(arguments.json)
+        scenario = load(arguments.scenario, _overrides(arguments))
+        assembly = assemble(scenario)
+    except ScenarioError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    progress = None if arguments.quiet else Progress(scenario, out)
+    result, failure = None, None
+    try:
+        result = clock.run(assembly.run([progress] if progress else []), scenario.model.run.clock)
+    except RunError as error:
+        result, failure = error.result, error
+    except RtagentError as error:
+        sys.stderr.write(f"{arguments.scenario}: {error}\n")
+        return 2
+    finally:
+        if progress:
+            progress.close()
+    if not arguments.quiet:
+        print_report(result, out)
+    if failure is not None:
+        _print_failure(failure)
+    _write(scenario, result, arguments.json)
+    return 0 if failure is None and not result.not_safe else 1
+
+
+def _overrides(arguments: argparse.Namespace) -> list[str]:
+    options = {name: getattr(arguments, name) for name in ("clock", "trials", "episodes", "seed")}
+    own = [f"run.{name}={value}" for name, value in options.items() if value is not None]
+    return [*arguments.set, *own]
+
+
+def _check_output(path: str | None) -> None:
+    """Refuse, before anything runs, a place that results cannot be written to."""
+    if path in (None, "-"):
+        return
+    target = Path(str(path))
+    if target.is_dir() or not target.parent.is_dir():
+        raise ScenarioError([f"--json {path}: give a file in a folder that exists."])
+
+
+def _print_failure(failure: RunError) -> None:
+    for fault in failure.result.faults:
+        if fault.fatal and fault.traceback:
+            sys.stderr.write(fault.traceback)
+    safe = "Not everything is safe" if failure.result.not_safe else "All devices were made safe"
+    sys.stderr.write(f"The run ended early: {failure}\n{safe}.\n")
+    for sentence in failure.result.not_safe:
+        sys.stderr.write(f"  {sentence}\n")
+
+
+def _write(scenario: Scenario, result: Result, path: str | None) -> None:
+    if path is None:
+        return
+    resolved = scenario.resolved()
+    data: dict[str, Any] = {"scenario": scenario.name, **result.as_dict(), "resolved": resolved}
+    text = json.dumps(data, indent=2) + "\n"
+    if path == "-":
+        sys.stdout.write(text)
+        return
+    import tomli_w
+
+    target = Path(path)
+    target.write_text(text, encoding="utf-8")
+    target.with_suffix(".scenario.toml").write_text(tomli_w.dumps(resolved), encoding="utf-8")

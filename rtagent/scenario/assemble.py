@@ -1,0 +1,161 @@
+"""From a validated scenario to the parts of a run. Nothing is opened, nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from numpy.random import Generator
+
+from rtagent import plugins
+from rtagent.agent import Agent
+from rtagent.costs import Cost, Costs
+from rtagent.device import Device
+from rtagent.errors import RtagentError, RunStuckError, ScenarioError
+from rtagent.lifecycle import Plan, refuse_stuck, run
+from rtagent.result import Result
+from rtagent.runtime import Limits
+from rtagent.scenario.load import Part, Scenario
+from rtagent.scenario.source import KeyPath
+from rtagent.schedule import Component, Order, Schedule, prologue
+from rtagent.supervision import Supervision
+from rtagent.task import Task
+
+T = TypeVar("T")
+
+
+@dataclass
+class Assembly:
+    """All that a run needs."""
+
+    devices: dict[str, Device]
+    task: Task
+    make_agent: Callable[[Generator], Agent]
+    schedule: Schedule
+    prologue: Order
+    plan: Plan
+    costs: Costs
+    supervision: dict[str, Supervision]
+
+    async def run(self, instruments: Iterable[object] = ()) -> Result:
+        """Run it under the clock of the running event loop; see `rtagent.run`."""
+        return await run(
+            self.devices,
+            self.task,
+            self.make_agent,
+            self.schedule,
+            self.plan,
+            costs=self.costs,
+            supervision=self.supervision,
+            instruments=instruments,
+        )
+
+
+class _Problems:
+    """Collects the sentences of the errors that building the parts raises."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.sentences: list[str] = []
+        self._source = scenario.source
+
+    def attempt(self, path: KeyPath, make: Callable[[], T]) -> T | None:
+        """Return what `make` makes, or None after noting why it could not."""
+        try:
+            return make()
+        except (RtagentError, ValueError, TypeError) as error:
+            self.sentences.append(f"{self._source.where(path)}: {'.'.join(map(str, path))}: {error}")
+            return None
+
+
+def assemble(scenario: Scenario) -> Assembly:
+    """Build the parts of a scenario; raise `ScenarioError` with everything that does not fit together."""
+    problems = _Problems(scenario)
+    devices = {
+        name: device
+        for name, part in scenario.devices.items()
+        if (device := problems.attempt(part.path, lambda part=part: _build(part))) is not None
+    }
+    task = problems.attempt(("task",), lambda: _build(scenario.parts["task"]))
+    if task is not None and len(devices) == len(scenario.devices):
+        problems.attempt(("task",), lambda: task.bind({name: device.spec for name, device in devices.items()}))
+    schedule = problems.attempt(("schedule",), lambda: _schedule(scenario))
+    costs = problems.attempt(("costs",), lambda: _costs(scenario)) or {}
+    make_agent = _agent_maker(scenario, task) if task is not None else None
+    agent = make_agent and _try_agent(make_agent, scenario, problems)
+    before: Order = ()
+    if schedule is not None and agent is not None:
+        before = problems.attempt(("schedule",), lambda: _check_schedule(schedule, agent)) or ()
+    plan = _plan(scenario)
+    if schedule is not None and scenario.model.run.clock == "virtual":
+        problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
+    if problems.sentences or task is None or make_agent is None or schedule is None:
+        raise ScenarioError(problems.sentences)
+    supervision = {
+        name: Supervision(table.supervision.timeout, table.supervision.stale_after)
+        for name, table in scenario.model.devices.items()
+    }
+    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision)
+
+
+def _build(part: Part, **context: Any) -> Any:
+    return plugins.build(part.plugin, part.given(), **context)
+
+
+def _agent_maker(scenario: Scenario, task: Task) -> Callable[[Generator], Agent]:
+    def make(rng: Generator) -> Agent:
+        features = _build(scenario.parts["features"], state=task.state)
+        policy = _build(scenario.parts["policy"]) if "policy" in scenario.parts else None
+        learner = _build(
+            scenario.parts["learner"],
+            size=features.size,
+            active=features.active,
+            actions=len(task.actions),
+            policy=policy,
+        )
+        return Agent(features, learner, policy, rng)
+
+    return make
+
+
+def _try_agent(
+    make_agent: Callable[[Generator], Agent], scenario: Scenario, problems: _Problems
+) -> Agent | None:
+    """Make an agent once, for its problems; the place is that of the first table that it is made of."""
+    from rtagent.streams import stream
+
+    return problems.attempt(("features",), lambda: make_agent(stream(scenario.model.run.seed, "check")))
+
+
+def _schedule(scenario: Scenario) -> Schedule:
+    table = scenario.model.schedule
+    settings = {
+        name: getattr(table, name)
+        for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
+    }
+    if table.preset is not None:
+        return Schedule.preset(table.preset, **settings)
+    return Schedule(tuple(table.order or ()), **settings)
+
+
+def _check_schedule(schedule: Schedule, agent: Agent) -> Order:
+    if schedule.acts and agent.policy is None:
+        raise ValueError("the order has act and choose, but there is no [policy]: add one, or leave both out.")
+    if agent.policy is not None and not schedule.acts:
+        raise ValueError("there is a [policy], but the order never chooses: leave one of them out.")
+    return prologue(schedule.order, agent.learner.needs_next_action)
+
+
+def _costs(scenario: Scenario) -> Costs:
+    tables = {component: getattr(scenario.model.costs, component.value) for component in Component}
+    return {
+        component: Cost(table.low, table.high, table.distribution)
+        for component, table in tables.items()
+        if table is not None
+    }
+
+
+def _plan(scenario: Scenario) -> Plan:
+    table = scenario.model.run
+    limits = Limits(table.episode_time, table.episode_steps)
+    return Plan(table.trials, table.episodes, table.seed, limits, scenario.model.stop.drain)

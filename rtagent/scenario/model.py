@@ -1,0 +1,126 @@
+"""The tables of a scenario file, as data: every key, its type, its default and what it means."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from rtagent.plugins import did_you_mean
+from rtagent.schedule import PRESETS, Component, Overrun, Wait
+from rtagent.units import Duration, ms
+
+
+class Table(BaseModel):
+    """A table: keys that it does not know are errors."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class RunTable(Table):
+    """How much is run, under which clock, from which seed."""
+
+    clock: Literal["real", "virtual"] = Field("real", description="the clock of the run")
+    seed: int = Field(1, ge=0, description="all random streams are derived from it")
+    trials: int = Field(1, ge=1, description="each trial begins with a new agent")
+    episodes: int = Field(1, ge=1, description="episodes of each trial")
+    episode_time: Duration = Field(0, description="an episode is truncated after this time; 0: never")
+    episode_steps: int = Field(0, ge=0, description="an episode is truncated after so many steps; 0: never")
+
+
+class ScheduleTable(Table):
+    """In which order the components run, and how the cycle is paced."""
+
+    preset: str | None = Field(None, description="the order by its name: " + ", ".join(PRESETS))
+    order: list[Component] | None = Field(None, description="the order as a list, in place of a preset")
+    learn_delay: Duration = Field(0, description="simulated cost of learning, for each transition learned")
+    period: Duration = Field(0, description="the cycle's period, on absolute deadlines; 0: as fast as it goes")
+    overrun: Overrun = Field(Overrun.SKIP, description="after a late cycle: skip missed deadlines or catch up")
+    observe: Wait = Field(Wait.FRESH, description="observe waits for something fresh, or takes the latest")
+    observe_timeout: Duration = Field(100 * ms, description="how long observe waits, at most")
+
+    @field_validator("preset")
+    @classmethod
+    def _known_preset(cls, name: str | None) -> str | None:
+        if name is not None and name not in PRESETS:
+            raise ValueError(f"there is no preset {name!r}{did_you_mean(name, list(PRESETS))}")
+        return name
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> ScheduleTable:
+        if (self.preset is None) == (self.order is None):
+            raise ValueError("give either preset or order: one of them, not both")
+        return self
+
+
+def _as_table(value: Any) -> Any:
+    """Let a cost be written as a single time."""
+    return value if isinstance(value, dict) else {"low": value}
+
+
+class CostTable(Table):
+    """What a component costs under the virtual clock: `"20us"`, or a distribution."""
+
+    distribution: Literal["constant", "uniform", "normal", "exponential"] = "constant"
+    low: Duration = Field(0, description="the constant, the least, the mean, or the offset")
+    high: Duration = Field(0, description="the most, the deviation, or the mean of the exponential")
+
+
+CostValue = Annotated[CostTable, BeforeValidator(_as_table)]
+
+
+class CostsTable(Table):
+    """What the components cost under the virtual clock."""
+
+    act: CostValue | None = None
+    observe: CostValue | None = None
+    choose: CostValue | None = None
+    learn: CostValue | None = None
+
+
+class SupervisionTable(Table):
+    """How patient the runtime is with a device."""
+
+    timeout: Duration = Field(500 * ms, description="how long calls may fail or hang before the run ends safely")
+    stale_after: Duration = Field(0, description="samples older than this are marked stale; 0: never")
+
+
+class StopTable(Table):
+    """How a run ends."""
+
+    drain: Duration = Field(500 * ms, description="how long learning may go on after a signal or a fault")
+
+
+class PluginTable(BaseModel):
+    """A table whose further keys are the settings of the plug-in that it names."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class TypedTable(PluginTable):
+    """A plug-in by its `type`."""
+
+    type: str
+
+
+class DeviceTable(PluginTable):
+    """A device: its driver, the driver's settings, and how it is supervised."""
+
+    driver: str
+    supervision: SupervisionTable = SupervisionTable()
+
+
+class ScenarioModel(Table):
+    """A whole scenario."""
+
+    name: str = Field("", description="what results call it")
+    description: str = Field("", description="what it is for")
+    run: RunTable = RunTable()
+    schedule: ScheduleTable
+    costs: CostsTable = CostsTable()
+    devices: dict[str, DeviceTable] = Field(min_length=1)
+    task: TypedTable
+    features: TypedTable
+    learner: TypedTable
+    policy: TypedTable | None = None
+    stop: StopTable = StopTable()

@@ -1,0 +1,47 @@
+"""The JSON schema of scenario files, for editors: the tables, and the settings of every plug-in installed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtagent import plugins
+from rtagent.scenario.load import TYPED_TABLES
+from rtagent.scenario.model import ScenarioModel, SupervisionTable
+from rtagent.scenario.settings import settings_model
+
+REF = "#/$defs/{model}"
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the schema (draft 2020-12)."""
+    schema = ScenarioModel.model_json_schema(ref_template=REF)
+    definitions = schema["$defs"]
+    supervision = SupervisionTable.model_json_schema(ref_template=REF)
+    devices = {"supervision": {**supervision, "default": {}}}
+    schema["properties"]["devices"]["additionalProperties"] = _one_of("drivers", "driver", devices, definitions)
+    for table, group in TYPED_TABLES.items():
+        schema["properties"][table] = _one_of(group, "type", {}, definitions)
+    for unused in ("DeviceTable", "TypedTable", "SupervisionTable"):
+        definitions.pop(unused, None)
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "rtagent scenario"
+    return schema
+
+
+def _one_of(
+    group: str, name_key: str, properties: dict[str, Any], definitions: dict[str, Any]
+) -> dict[str, Any]:
+    return {"oneOf": [_plugin_table(group, name, name_key, properties, definitions) for name in plugins.names(group)]}
+
+
+def _plugin_table(
+    group: str, name: str, name_key: str, properties: dict[str, Any], definitions: dict[str, Any]
+) -> dict[str, Any]:
+    plugin = plugins.load(group, name)
+    table = settings_model(plugin).model_json_schema(ref_template=REF)
+    definitions.update(table.pop("$defs", {}))
+    table["title"] = name
+    table["description"] = plugins.summary(plugin)
+    table["properties"] = {name_key: {"const": name}} | properties | table.get("properties", {})
+    table["required"] = [name_key, *table.get("required", [])]
+    return table
