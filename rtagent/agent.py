@@ -107,7 +107,7 @@ class Agent:
         return self.chosen
 
     def acted(self) -> None:
-        """The chosen action was handed to the devices."""
+        """Note that the chosen action was handed to the devices."""
         self._in_force = self.chosen
         self._acted = True
 
@@ -150,9 +150,7 @@ class Agent:
             return Decision(cast("FeatureVector", self._features), self._observed_at, action, probability)
         return cast("Decision", self._in_force)
 
-    def _refresh(
-        self, transition: Transition, outcome: Outcome, features: FeatureVector, time: int
-    ) -> None:
+    def _refresh(self, transition: Transition, outcome: Outcome, features: FeatureVector, time: int) -> None:
         transition.elapsed += time - self._observed_at
         transition.reward += self._reward
         transition.next_features = features

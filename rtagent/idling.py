@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rtagent.clock import Clock
-from rtagent.device import Foreseeing
 from rtagent.errors import RunStuckError
 from rtagent.supervision import SupervisedDevice
 
@@ -20,7 +19,7 @@ class Idling:
     """Lets virtual time pass between cycles that would take none of it."""
 
     def __init__(self, devices: Sequence[SupervisedDevice], clock: Clock, episode_time: int) -> None:
-        self._foreseeing = [device.device for device in devices if isinstance(device.device, Foreseeing)]
+        self._devices = devices
         self._synchronous = any(device.device.spec.synchronous for device in devices)
         self._clock, self._episode_time = clock, episode_time
 
@@ -55,5 +54,5 @@ class Idling:
             )
 
     def _next_event(self, now: int) -> int | None:
-        events = [device.next_event(now) for device in self._foreseeing] + [self._ends]
+        events = [device.next_event(now) for device in self._devices] + [self._ends]
         return min((event for event in events if event is not None and event > now), default=None)

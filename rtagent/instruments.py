@@ -13,6 +13,7 @@ from rtagent.schedule import Component
 
 log = logging.getLogger("rtagent")
 
+
 class Instrument:
     """The hooks, all optional: any object that has some of these methods is an instrument.
 

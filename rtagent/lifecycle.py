@@ -8,7 +8,8 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from numpy.random import Generator
 
@@ -40,7 +41,7 @@ class Plan:
     trials: int = 1
     episodes: int = 1
     seed: int = 0
-    limits: Limits = Limits()
+    limits: Limits = field(default_factory=Limits)
     drain: int = 500 * ms
 
 
@@ -49,7 +50,7 @@ async def run(
     task: Task,
     agent: Agent | AgentMaker,
     schedule: Schedule,
-    plan: Plan = Plan(),  # noqa: B008  # frozen: sharing it changes nothing
+    plan: Plan = Plan(),  # frozen: sharing it changes nothing
     *,
     costs: Costs | None = None,
     supervision: Mapping[str, Supervision] | None = None,
@@ -133,9 +134,7 @@ class _Life:
             self._agents.append(agent)
             runtime = self._runtime(agent, trial)
             for episode in range(self._plan.episodes):
-                rngs = {
-                    name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices
-                }
+                rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
@@ -155,7 +154,8 @@ class _Life:
 
     async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:
         """Wait for the work's own end, a signal, or a call that never returns."""
-        await asyncio.wait({work, signalled, self._guard.stuck}, return_when=asyncio.FIRST_COMPLETED)
+        ends: set[asyncio.Future[Any]] = {work, signalled, self._guard.stuck}
+        await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         if work.done() and not work.cancelled():
             error = work.exception()
             source = "device" if isinstance(error, DeviceError) else "run"

@@ -34,7 +34,8 @@ class Greedy:
     def probabilities(self, action_values: FloatArray) -> FloatArray:
         """Return the uniform distribution over the best actions."""
         best: FloatArray = (action_values == action_values.max()).astype(np.float64)
-        return best / best.sum()
+        best /= best.sum()
+        return best
 
 
 class EpsilonGreedy:

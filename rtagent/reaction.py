@@ -75,12 +75,12 @@ class ReactionTimer:
         self._waiting.extend(_Seen(stimulus, time) for stimulus in stimuli)
 
     def chose(self) -> None:
-        """An action was chosen from the newest observation."""
+        """Note that an action was chosen from the newest observation."""
         for seen in self._waiting:
             seen.chosen = True
 
     def acted(self, action: int, start: int, end: int) -> Sequence[Reaction]:
-        """`action` was handed to the devices from `start` to `end`; return the reactions that this was."""
+        """Note an act that lasted from `start` to `end` (ns); return the reactions that it was."""
         self._last_act = action, end
         if not self._waiting:
             return ()

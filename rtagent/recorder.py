@@ -9,7 +9,6 @@ from rtagent.reaction import EpisodeReactions
 from rtagent.schedule import Component
 from rtagent.series import Series
 
-
 MOST_FAULTS = 100
 """So many different faults are listed; more are counted."""
 

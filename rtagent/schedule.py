@@ -207,9 +207,7 @@ def _check_members(order: Order) -> None:
         raise ScheduleError("the order has no observe: an agent that never looks learns and chooses nothing.")
     if (ACT in order) != (CHOOSE in order):
         missing, there = (ACT, CHOOSE) if CHOOSE in order else (CHOOSE, ACT)
-        raise ScheduleError(
-            f"the order has {there} but no {missing}: add it, or leave out both to predict only."
-        )
+        raise ScheduleError(f"the order has {there} but no {missing}: add it, or leave out both to predict only.")
 
 
 def _walk(order: Order, table: Sequence[Rule]) -> str:

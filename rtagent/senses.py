@@ -64,7 +64,8 @@ class Senses:
             reading.cancel()
         if late:
             await asyncio.wait(late, timeout=limit)
-        if not any([readings[reading].take(reading) for reading in done]):
+        fresh = [readings[reading].take(reading) for reading in done]
+        if not any(fresh):
             self._recorder.counters["observe_timeouts"] += 1
 
     async def _first_sample(self, device: SupervisedDevice) -> Sample:

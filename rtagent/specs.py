@@ -55,8 +55,8 @@ class Spec:
 
     def problem(self, value: object) -> str | None:
         """Say in words what is wrong with `value`, or return None where it fits."""
-        if self.shape == () and isinstance(value, float | int | bool | np.bool_ | np.number):
-            return self._scalar_problem(value)
+        if self.shape == () and isinstance(value, float | int | bool | np.bool_ | np.floating | np.integer):
+            return self._scalar_problem(float(value))
         array = np.asarray(value)
         if array.dtype.kind not in "biuf":
             return f"{value!r} is not a number"
@@ -76,13 +76,13 @@ class Spec:
     def generate(self, rng: Generator) -> Value:
         """Draw a value that fits, uniformly where the range is finite."""
         low, high = max(self.low, -1e6), min(self.high, 1e6)
-        if self.dtype == "float":
-            drawn = rng.uniform(low, high, self.shape)
-        else:
-            drawn = rng.integers(int(low), int(high), self.shape, endpoint=True)
-        if self.shape:
-            return drawn.astype(self.dtype)
-        return {"float": float, "int": int, "bool": bool}[self.dtype](drawn)
+        drawn: np.ndarray = np.asarray(
+            rng.uniform(low, high, self.shape)
+            if self.dtype == "float"
+            else rng.integers(int(low), int(high), self.shape, endpoint=True)
+        )
+        value: Value = drawn.astype(self.dtype) if self.shape else drawn.astype(self.dtype).item()
+        return value
 
     def clip(self, value: float) -> float:
         """Return the nearest scalar within the range."""

@@ -20,7 +20,9 @@ class Summary:
     missed: int = 0
 
     @classmethod
-    def of(cls, values: Sequence[int], *, count: int | None = None, maximum: int | None = None, missed: int = 0) -> Summary:
+    def of(
+        cls, values: Sequence[int], *, count: int | None = None, maximum: int | None = None, missed: int = 0
+    ) -> Summary:
         """Summarise `values` (ns); `count` and `maximum` where more were seen than kept."""
         if not values:
             return cls(0, 0.0, 0.0, 0.0, 0.0, missed)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from rtagent.clock import Clock
-from rtagent.device import Counting, Device, Stimulating
+from rtagent.device import Counting, Device, Foreseeing, Stimulating
 from rtagent.errors import DeviceError, DisconnectedError
 from rtagent.experience import Command, Sample, Stimulus, Values
 from rtagent.specs import Spec
@@ -25,6 +25,7 @@ FIRST_PAUSE = 1 * ms
 LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
 SAFE_TIMEOUT = 1 * second
+NEVER = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class HangGuard:
         self._deadline = 0
         self._limit = 0
         self._timer: asyncio.TimerHandle | None = None
+        self._looks_at = NEVER
         self._cancelled = False
         self._what = ""
         self.stuck: asyncio.Future[str] = self._loop.create_future()
@@ -64,7 +66,7 @@ class HangGuard:
         """Await `call` for at most `limit` (ns); raise TimeoutError where it takes longer."""
         self._what, self._limit = what, limit
         self._deadline = self._now() + limit
-        if self._timer is None:
+        if self._deadline < self._looks_at:
             self._watch(limit)
         try:
             return await call
@@ -88,11 +90,13 @@ class HangGuard:
         return task is not None and task.uncancel() == 0
 
     def _watch(self, delay: int) -> None:
+        self.close()
         self._task = self._task or asyncio.current_task()
+        self._looks_at = self._now() + delay
         self._timer = self._loop.call_later(delay / 1e9, self._look)
 
     def _look(self) -> None:
-        self._timer = None
+        self._looks_at = NEVER
         if not self._deadline:
             return
         left = self._deadline - self._now()
@@ -125,6 +129,7 @@ class SupervisedDevice:
         self._ranges = [(sensor, spec.low, spec.high) for sensor, spec in sensors if _plain(spec)]
         self._others = [(sensor, spec) for sensor, spec in sensors if not _plain(spec)]
         self._stimulating = device if isinstance(device, Stimulating) else None
+        self._foreseeing = device if isinstance(device, Foreseeing) else None
         self._counts: Counter[str] = Counter()
         self._failing_since: int | None = None
         self._last_error = ""
@@ -160,7 +165,8 @@ class SupervisedDevice:
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample; say whether there is one."""
         if self._failing_since is not None:
-            await self._clock.sleep_until(min(self._retry_at, self._clock.now() + limit))
+            now = self._clock.now()
+            await self._clock.sleep_until(min(max(self._retry_at, now + FIRST_PAUSE), now + limit))
             return await self.read(-1)
         try:
             sample = await self._guard.bound(self.device.read(self.sequence), limit, f"{self.name}.read")
@@ -216,6 +222,12 @@ class SupervisedDevice:
             return ()
         self._stimuli_until = end
         return self._stimulating.stimuli(after, end)
+
+    def next_event(self, now: int) -> int | None:
+        """Return when a fake changes next, or when a failing device is tried again; None for never."""
+        if self._failing_since is not None:
+            return max(self._retry_at, now + FIRST_PAUSE)
+        return self._foreseeing.next_event(now) if self._foreseeing else None
 
     async def make_safe(self) -> None:
         """Make the device safe; raises what it raises."""

@@ -36,7 +36,9 @@ class Task(Protocol):
         """Say whether `action` is the correct answer to `stimulus` (for the response time)."""
 
 
-def require(devices: Mapping[str, DeviceSpec], device: str, sensors: Sequence[str], actuators: Sequence[str]) -> None:
+def require(
+    devices: Mapping[str, DeviceSpec], device: str, sensors: Sequence[str], actuators: Sequence[str]
+) -> None:
     """Raise `SpecError` unless `device` is there with these sensors and actuators."""
     if device not in devices:
         there = ", ".join(devices) or "none"

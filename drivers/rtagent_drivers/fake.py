@@ -18,6 +18,7 @@ from rtagent.clock import current
 from rtagent.errors import DeviceError, DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus, Values
 from rtagent.specs import DeviceSpec
+from rtagent.streams import stream
 from rtagent.units import Duration, Frequency, describe
 from rtagent_drivers.arrivals import Arrivals, Disturbance
 
@@ -186,8 +187,6 @@ class FakeDevice:
         return self._past_counters + Counter(present)
 
     def _begin_world(self, now: int, rng: Generator | None) -> None:
-        from rtagent.streams import stream
-
         self._past_counters = Counter(self.counters) if self._arrivals else self._past_counters
         rng = rng if rng is not None else stream(0, "fake")
         self.world.begin(now, rng)
@@ -195,7 +194,12 @@ class FakeDevice:
         if self._sampling.rate:
             period = 1e9 / self._sampling.rate
             self._arrivals = Arrivals(
-                now, period, self._sampling.delay, self._sampling.jitter, self._faults.in_stream, rng.spawn(1)[0]
+                now,
+                period,
+                self._sampling.delay,
+                self._sampling.jitter,
+                self._faults.in_stream,
+                rng.spawn(1)[0],
             )
 
     def _as_of_now(self) -> Sample:

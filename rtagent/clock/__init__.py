@@ -10,7 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Literal, Protocol, TypeVar
 
 from rtagent.clock.real import RealClock, real_loop
-from rtagent.clock.virtual import VirtualClock, VirtualLoop
+from rtagent.clock.virtual import START, VirtualClock, VirtualLoop, virtual_loop
 
 __all__ = ["Clock", "ClockName", "RealClock", "VirtualClock", "VirtualLoop", "current", "real_loop", "run"]
 
@@ -46,7 +46,7 @@ def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | No
     A virtual clock starts at `start` (ns): by default far from zero and from the machine's own clock, so that
     code that reads the wrong one is found out.
     """
-    loop = real_loop() if clock == "real" else VirtualLoop() if start is None else VirtualLoop(start)
+    loop = real_loop() if clock == "real" else virtual_loop(START if start is None else start)
     try:
         return loop.run_until_complete(main)
     finally:

@@ -50,7 +50,13 @@ class _Interval(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_long) for name in ("every_s", "every_ns", "first_s", "first_ns"))
 
 
-class TimerfdSelector(selectors.EpollSelector if sys.platform == "linux" else selectors.SelectSelector):
+if sys.platform == "linux":
+    _Selector = selectors.EpollSelector
+else:
+    _Selector = selectors.SelectSelector
+
+
+class TimerfdSelector(_Selector):
     """Epoll whose time-outs are kept by a timerfd, which counts nanoseconds where epoll counts milliseconds.
 
     Raises OSError or AttributeError where the system has no timerfd.

@@ -11,12 +11,15 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar, TypeVarTuple
 
 from rtagent.errors import ClockError, RunStuckError
 
 START = 1_000_000 * 1_000_000_000
 """A million seconds: far from zero; half a nanosecond is still told apart in a float of seconds."""
+
+Ts = TypeVarTuple("Ts")
+T = TypeVar("T")
 
 
 class VirtualLoop(asyncio.AbstractEventLoop):
@@ -55,7 +58,9 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
     # Callbacks
 
-    def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> asyncio.Handle:
+    def call_soon(
+        self, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.Handle:
         """Call `callback` in the next round."""
         self._check_closed()
         handle = asyncio.Handle(callback, args, self, context)
@@ -65,19 +70,27 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     call_soon_threadsafe = call_soon
 
     def call_later(
-        self, delay: float, callback: Callable[..., object], *args: Any, context: Context | None = None
+        self,
+        delay: float,
+        callback: Callable[[Unpack[Ts]], object],
+        *args: *Ts,
+        context: Context | None = None,
     ) -> asyncio.TimerHandle:
         """Call `callback` after `delay` seconds."""
         return self.call_at_ns(self.now + round(delay * 1e9), callback, *args, context=context)
 
     def call_at(
-        self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
+        self,
+        when: float,
+        callback: Callable[[Unpack[Ts]], object],
+        *args: *Ts,
+        context: Context | None = None,
     ) -> asyncio.TimerHandle:
         """Call `callback` when `time()` is `when`, in seconds."""
         return self.call_at_ns(round(when * 1e9), callback, *args, context=context)
 
     def call_at_ns(
-        self, when: int, callback: Callable[..., object], *args: Any, context: Context | None = None
+        self, when: int, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.TimerHandle:
         """Call `callback` when the virtual time is `when`, in ns."""
         self._check_closed()
@@ -103,9 +116,9 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             return made
         return asyncio.Task(coro, loop=self, **settings)
 
-    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
+    def run_in_executor(self, executor: Any, func: Callable[[Unpack[Ts]], T], *args: *Ts) -> asyncio.Future[T]:
         """Call `func` at once: under the virtual clock there is no other thread to wait for."""
-        future = self.create_future()
+        future: asyncio.Future[T] = self.create_future()
         try:
             future.set_result(func(*args))
         except Exception as error:
@@ -147,7 +160,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             self._fire_timers()
         for _ in range(len(ready)):
             handle = ready.popleft()
-            if not handle._cancelled:  # type: ignore[attr-defined]  # as asyncio's own loop does; cancelled() costs a call
+            if not handle._cancelled:  # as asyncio's own loop does: cancelled() costs a call
                 handle._run()
 
     def _fire_timers(self) -> None:
@@ -186,7 +199,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     async def shutdown_asyncgens(self) -> None:
         """Do nothing: generators end with the tasks that run them."""
 
-    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:  # noqa: ASYNC109  # asyncio names it so
         """Do nothing: there is no executor."""
 
     # Settings
@@ -240,15 +253,44 @@ def _refuse(name: str) -> Callable[..., NoReturn]:
     return refused
 
 
-REFUSED = (
-    "add_reader remove_reader add_writer remove_writer create_connection create_server create_datagram_endpoint "
-    "create_unix_connection create_unix_server connect_accepted_socket connect_read_pipe connect_write_pipe "
-    "sock_recv sock_recv_into sock_recvfrom sock_recvfrom_into sock_sendall sock_sendto sock_connect "
-    "sock_accept sock_sendfile sendfile start_tls subprocess_exec subprocess_shell getaddrinfo getnameinfo "
-    "add_signal_handler remove_signal_handler"
-).split()
+REFUSED = [
+    "add_reader",
+    "remove_reader",
+    "add_writer",
+    "remove_writer",
+    "create_connection",
+    "create_server",
+    "create_datagram_endpoint",
+    "create_unix_connection",
+    "create_unix_server",
+    "connect_accepted_socket",
+    "connect_read_pipe",
+    "connect_write_pipe",
+    "sock_recv",
+    "sock_recv_into",
+    "sock_recvfrom",
+    "sock_recvfrom_into",
+    "sock_sendall",
+    "sock_sendto",
+    "sock_connect",
+    "sock_accept",
+    "sock_sendfile",
+    "sendfile",
+    "start_tls",
+    "subprocess_exec",
+    "subprocess_shell",
+    "getaddrinfo",
+    "getnameinfo",
+    "add_signal_handler",
+    "remove_signal_handler",
+]
 for _name in REFUSED:
     setattr(VirtualLoop, _name, _refuse(_name))
+
+
+def virtual_loop(start: int = START) -> VirtualLoop:
+    """Return a loop whose time begins at `start` (ns)."""
+    return VirtualLoop(start)  # type: ignore[abstract]  # what it refuses was added by name
 
 
 class VirtualClock:

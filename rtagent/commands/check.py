@@ -22,7 +22,9 @@ def check_command(arguments: argparse.Namespace) -> int:
             sys.stderr.write(f"{error}\n")
             code = 2
         else:
-            sys.stdout.write("\n".join([f"{path}: right", *(f"  {line}" for line in explain(scenario, assembly)), ""]))
+            sys.stdout.write(
+                "\n".join([f"{path}: right", *(f"  {line}" for line in explain(scenario, assembly)), ""])
+            )
     return code
 
 
@@ -33,7 +35,10 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     run = scenario.model.run
     yield f"{run.trials} × {run.episodes} episodes, {run.clock} clock, seed {run.seed}"
     for name, device in assembly.devices.items():
-        sensors, actuators = ", ".join(device.spec.sensors) or "none", ", ".join(device.spec.actuators) or "none"
+        sensors, actuators = (
+            ", ".join(device.spec.sensors) or "none",
+            ", ".join(device.spec.actuators) or "none",
+        )
         yield f"device {name} ({scenario.devices[name].name}): senses {sensors}; takes {actuators}"
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]

@@ -60,7 +60,12 @@ class Progress:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[reaction]}"))
+        columns = (
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[reaction]}"),
+        )
         bar = Bar(*columns, console=Console(file=self._out), auto_refresh=False)
         bar.add_task("episodes", total=self._total, reaction="")
         bar.start()

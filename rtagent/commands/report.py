@@ -31,7 +31,9 @@ def print_report(result: Result, out: TextIO) -> None:
     _print_counters(console, result)
     for fault in result.faults:
         times = f" ({fault.count} times)" if fault.count > 1 else ""
-        console.print(f"[bold]fault[/bold] at {describe(fault.time)}: {escape(fault.source)}: {escape(fault.message)}{times}")
+        console.print(
+            f"[bold]fault[/bold] at {describe(fault.time)}: {escape(fault.source)}: {escape(fault.message)}{times}"
+        )
 
 
 def _times(result: Result) -> Table:

@@ -116,5 +116,3 @@ def _bins_of(name: str, bins: int | Mapping[str, int]) -> int:
     if count < 1:
         raise SpecError(f"signal {name!r} has {count} bins: give at least 1.")
     return count
-
-

@@ -27,10 +27,13 @@ class ActionWeights:
         """Return the value of one action."""
         return linear_value(self.weights[action], features)
 
-    def step(self, transition: Transition, amount: float) -> None:
-        """Move the weights of the transition's own features and action by `amount`."""
-        values = 1.0 if transition.features.values is None else transition.features.values
-        self.weights[transition.action, transition.features.indices] += amount * values
+    def back_up(self, transition: Transition, alpha: float, next_value: float) -> float:
+        """Move the value of the transition's own action towards its reward and `next_value`; return delta."""
+        t = transition
+        delta = t.reward + next_value - self.value(t.features, t.action)
+        values = 1.0 if t.features.values is None else t.features.values
+        self.weights[t.action, t.features.indices] += alpha * delta * values
+        return delta
 
 
 class Sarsa:
@@ -104,11 +107,8 @@ class QLearning:
 
     def update(self, transition: Transition) -> float:
         """Learn (S, A, R, S') towards the best action of S', and return delta."""
-        delta = transition.reward - self._q.value(transition.features, transition.action)
-        if not transition.terminated:
-            delta += self.gamma * float(self.action_values(transition.next_features).max())
-        self._q.step(transition, self.alpha * delta)
-        return delta
+        best = 0.0 if transition.terminated else float(self.action_values(transition.next_features).max())
+        return self._q.back_up(transition, self.alpha, self.gamma * best)
 
 
 class ExpectedSarsa:
@@ -142,9 +142,9 @@ class ExpectedSarsa:
 
     def update(self, transition: Transition) -> float:
         """Learn (S, A, R, S') towards the expectation over the actions of S', and return delta."""
-        delta = transition.reward - self._q.value(transition.features, transition.action)
-        if not transition.terminated:
-            next_values = self.action_values(transition.next_features)
-            delta += self.gamma * float(self._policy.probabilities(next_values) @ next_values)
-        self._q.step(transition, self.alpha * delta)
-        return delta
+        expected = 0.0 if transition.terminated else self._expectation(transition.next_features)
+        return self._q.back_up(transition, self.alpha, self.gamma * expected)
+
+    def _expectation(self, features: FeatureVector) -> float:
+        values = self.action_values(features)
+        return float(self._policy.probabilities(values) @ values)

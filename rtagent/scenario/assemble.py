@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from numpy.random import Generator
@@ -12,13 +13,14 @@ from rtagent import plugins
 from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
 from rtagent.device import Device
-from rtagent.errors import RtagentError, RunStuckError, ScenarioError
+from rtagent.errors import RtagentError, ScenarioError
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.result import Result
 from rtagent.runtime import Limits
 from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.source import KeyPath
 from rtagent.schedule import Component, Order, Schedule, prologue
+from rtagent.streams import stream
 from rtagent.supervision import Supervision
 from rtagent.task import Task
 
@@ -74,7 +76,7 @@ def assemble(scenario: Scenario) -> Assembly:
     devices = {
         name: device
         for name, part in scenario.devices.items()
-        if (device := problems.attempt(part.path, lambda part=part: _build(part))) is not None
+        if (device := problems.attempt(part.path, partial(_build, part))) is not None
     }
     task = problems.attempt(("task",), lambda: _build(scenario.parts["task"]))
     if task is not None and len(devices) == len(scenario.devices):
@@ -118,20 +120,15 @@ def _agent_maker(scenario: Scenario, task: Task) -> Callable[[Generator], Agent]
     return make
 
 
-def _try_agent(
-    make_agent: Callable[[Generator], Agent], scenario: Scenario, problems: _Problems
-) -> Agent | None:
+def _try_agent(make_agent: Callable[[Generator], Agent], scenario: Scenario, problems: _Problems) -> Agent | None:
     """Make an agent once, for its problems; the place is that of the first table that it is made of."""
-    from rtagent.streams import stream
-
     return problems.attempt(("features",), lambda: make_agent(stream(scenario.model.run.seed, "check")))
 
 
 def _schedule(scenario: Scenario) -> Schedule:
     table = scenario.model.schedule
     settings = {
-        name: getattr(table, name)
-        for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
+        name: getattr(table, name) for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
     }
     if table.preset is not None:
         return Schedule.preset(table.preset, **settings)

@@ -137,7 +137,6 @@ def _sentence(detail: Any, place: KeyPath, model: type[BaseModel]) -> str:
     return f"{key}: {ended}" if key else ended
 
 
-
 def _line_of(problem: str) -> tuple[bool, int]:
     """Return what sorts problems as they stand in the file, those of the command line last."""
     found = re.search(r":(\d+): ", problem)

@@ -107,7 +107,7 @@ class DeviceTable(PluginTable):
     """A device: its driver, the driver's settings, and how it is supervised."""
 
     driver: str
-    supervision: SupervisionTable = SupervisionTable()
+    supervision: SupervisionTable = Field(default_factory=SupervisionTable)
 
 
 class ScenarioModel(Table):
@@ -115,12 +115,12 @@ class ScenarioModel(Table):
 
     name: str = Field("", description="what results call it")
     description: str = Field("", description="what it is for")
-    run: RunTable = RunTable()
+    run: RunTable = Field(default_factory=RunTable)
     schedule: ScheduleTable
-    costs: CostsTable = CostsTable()
+    costs: CostsTable = Field(default_factory=CostsTable)
     devices: dict[str, DeviceTable] = Field(min_length=1)
     task: TypedTable
     features: TypedTable
     learner: TypedTable
     policy: TypedTable | None = None
-    stop: StopTable = StopTable()
+    stop: StopTable = Field(default_factory=StopTable)

@@ -28,10 +28,10 @@ def json_schema() -> dict[str, Any]:
     return schema
 
 
-def _one_of(
-    group: str, name_key: str, properties: dict[str, Any], definitions: dict[str, Any]
-) -> dict[str, Any]:
-    return {"oneOf": [_plugin_table(group, name, name_key, properties, definitions) for name in plugins.names(group)]}
+def _one_of(group: str, name_key: str, properties: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "oneOf": [_plugin_table(group, name, name_key, properties, definitions) for name in plugins.names(group)]
+    }
 
 
 def _plugin_table(

@@ -1,0 +1,353 @@
+"""Measures what the runtime adds: to an empty cycle, and to the reaction to an event of another process."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import multiprocessing
+import os
+import random
+import struct
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from multiprocessing.connection import Connection
+from statistics import median
+
+import numpy as np
+from _harness import Row, main
+from numpy.random import Generator
+
+from rtagent import Agent, DeviceSpec, Limits, Observation, Outcome, Plan, Sample, Schedule, Spec, Stimulus
+from rtagent import clock, run
+from rtagent.experience import Command, FeatureVector, FloatArray, State
+from rtagent.features import Tabular
+from rtagent.learning import Sarsa
+from rtagent.policy import Greedy
+
+CYCLE_ROUNDS, CYCLES = 31, 2_000
+REACTION_ROUNDS, EVENTS = 10, 250
+SHORTEST, LONGEST = 0.002, 0.006
+"""The interval between two events, in seconds."""
+STAMP = struct.Struct("q")
+
+REACTIVE = Schedule.preset("reactive")
+
+
+# Components that do nothing
+
+
+class EmptyDevice:
+    """Reads at once, and does nothing when told to act."""
+
+    spec = DeviceSpec(sensors={"signal": Spec()}, actuators={"motion": Spec()})
+
+    def __init__(self) -> None:
+        self._sequence = itertools.count()
+        self._values = {"signal": 0.0}
+
+    async def open(self) -> None: ...
+
+    async def read(self, newer_than: int) -> Sample:
+        now = time.monotonic_ns()
+        return Sample(self._values, now, now, next(self._sequence))
+
+    async def act(self, command: Command) -> Command:
+        return command
+
+    async def make_safe(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+class EmptyTask:
+    """Sees one state, whatever happens."""
+
+    state: Mapping[str, Spec] = {"signal": Spec()}
+    actions = ("only",)
+
+    def __init__(self) -> None:
+        self._outcome, self._commands = Outcome((0.0,)), {"device": {"motion": 0.0}}
+
+    def bind(self, devices: Mapping[str, DeviceSpec]) -> None: ...
+
+    def begin(self) -> None: ...
+
+    def interpret(self, observation: object) -> Outcome:
+        return self._outcome
+
+    def commands(self, action: int) -> Mapping[str, Command]:
+        return self._commands
+
+    def answers(self, action: int, stimulus: Stimulus) -> bool:
+        return False
+
+
+class EmptyCoder:
+    """Gives one vector, whatever the state."""
+
+    size = active = 1
+
+    def __init__(self) -> None:
+        self._vector = FeatureVector(np.zeros(1, dtype=np.intp))
+
+    def encode(self, state: State) -> FeatureVector:
+        return self._vector
+
+
+class EmptyLearner:
+    """Learns nothing."""
+
+    needs_next_action = True
+
+    def __init__(self) -> None:
+        self._values = np.zeros(1)
+
+    def action_values(self, features: FeatureVector) -> FloatArray:
+        return self._values
+
+    def update(self, transition: object) -> float:
+        return 0.0
+
+
+class EmptyPolicy:
+    """Chooses the only action."""
+
+    def choose(self, action_values: FloatArray, rng: Generator) -> tuple[int, float]:
+        return 0, 1.0
+
+    def probabilities(self, action_values: FloatArray) -> FloatArray:
+        return np.ones(1)
+
+
+class OneHook:
+    """An instrument with one hook, which does nothing."""
+
+    def acted(self, action: int, sent: Mapping[str, Command], start: int, end: int) -> None: ...
+
+
+# One cycle
+
+
+async def pass_turns(turns: int) -> float:
+    """Return the time (ns) of one `await asyncio.sleep(0)`."""
+    start = time.monotonic_ns()
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    return (time.monotonic_ns() - start) / turns
+
+
+async def by_hand(cycles: int) -> float:
+    """Return the time (ns) of one cycle of a loop written by hand with the same components."""
+    device, task, coder = EmptyDevice(), EmptyTask(), EmptyCoder()
+    learner, policy, rng = EmptyLearner(), EmptyPolicy(), np.random.default_rng(0)
+    before = None
+    start = time.monotonic_ns()
+    for _ in range(cycles):
+        sample = await device.read(-1)
+        state, reward, terminated, truncated = task.interpret(sample)
+        features = coder.encode(state)
+        action, probability = policy.choose(learner.action_values(features), rng)
+        await device.act(task.commands(action)["device"])
+        if before is not None:
+            learner.update((*before, reward, features, action, terminated, truncated))
+        before = features, action, probability
+        await asyncio.sleep(0)
+    return (time.monotonic_ns() - start) / cycles
+
+
+async def by_runtime(cycles: int, instruments: Sequence[object] = ()) -> float:
+    """Return the time (ns) of one cycle of the runtime, without opening and ending the run."""
+    agent = Agent(EmptyCoder(), EmptyLearner(), EmptyPolicy())
+    plan = Plan(limits=Limits(episode_steps=cycles))
+    devices = {"device": EmptyDevice()}
+    result = await run(devices, EmptyTask(), agent, REACTIVE, plan, instruments=instruments)
+    return result.episodes[0].duration / result.episodes[0].steps
+
+
+async def one_round(cycles: int) -> dict[str, float]:
+    return {
+        "turn": await pass_turns(cycles),
+        "hand": await by_hand(cycles),
+        "runtime": await by_runtime(cycles),
+        "hooked": await by_runtime(cycles, [OneHook()]),
+    }
+
+
+async def cycle_rounds() -> list[dict[str, float]]:
+    await one_round(CYCLES)
+    return [await one_round(CYCLES) for _ in range(CYCLE_ROUNDS)]
+
+
+def cycle_rows() -> Iterator[Row]:
+    rounds = clock.run(cycle_rounds(), "real")
+
+    def ratio(kind: str, to: str) -> float:
+        return median(figures[kind] / figures[to] for figures in rounds)
+
+    names = {
+        "turn": "one await asyncio.sleep(0)",
+        "hand": "one cycle of a loop by hand",
+        "runtime": "one empty cycle of the runtime",
+        "hooked": "the same with an instrument of one hook",
+    }
+    for kind, name in names.items():
+        yield Row(name, median(figures[kind] for figures in rounds) / 1e3, "µs")
+    for kind in ("runtime", "hooked"):
+        yield Row(f"{names[kind]}, to sleep(0)", ratio(kind, "turn"), "×", 4.0)
+        yield Row(f"{names[kind]}, to the loop by hand", ratio(kind, "hand"), "×", 3.0)
+
+
+# The reaction to an event in a pipe
+
+
+def write_events(pipe: Connection) -> None:
+    """Write the time into the pipe at random intervals, until nobody reads it."""
+    intervals = random.Random(0)  # noqa: S311  # nothing secret is drawn
+    while True:
+        time.sleep(intervals.uniform(SHORTEST, LONGEST))
+        try:
+            os.write(pipe.fileno(), STAMP.pack(time.monotonic_ns()))
+        except BrokenPipeError:
+            return
+
+
+class PipeDevice:
+    """Each event is a sample; the world's time is the one that the writer stamped."""
+
+    spec = DeviceSpec(sensors={"parity": Spec.discrete(2)}, actuators={"answer": Spec.discrete(2)})
+
+    def __init__(self, pipe: int, sink: int) -> None:
+        self._pipe, self._sink = pipe, sink
+        self._newest: Sample | None = None
+        self._arrived: asyncio.Future[None] | None = None
+        self.reactions: list[int] = []
+
+    async def open(self) -> None:
+        asyncio.get_running_loop().add_reader(self._pipe, self._receive)
+
+    async def read(self, newer_than: int) -> Sample:
+        while self._newest is None or self._newest.sequence <= newer_than:
+            self._arrived = asyncio.get_running_loop().create_future()
+            await self._arrived
+        return self._newest
+
+    async def act(self, command: Command) -> Command:
+        os.write(self._sink, STAMP.pack(int(command["answer"])))
+        if self._newest is not None:
+            self.reactions.append(time.monotonic_ns() - self._newest.world_time)
+        return command
+
+    async def make_safe(self) -> None: ...
+
+    async def close(self) -> None:
+        asyncio.get_running_loop().remove_reader(self._pipe)
+
+    def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
+        return (Stimulus(until, "event"),)
+
+    def _receive(self) -> None:
+        (stamp,) = STAMP.unpack(os.read(self._pipe, STAMP.size))
+        sequence = 0 if self._newest is None else self._newest.sequence + 1
+        self._newest = Sample({"parity": sequence % 2}, stamp, time.monotonic_ns(), sequence)
+        if self._arrived is not None and not self._arrived.done():
+            self._arrived.set_result(None)
+
+
+class AnswerTask:
+    """One of two answers to each event."""
+
+    state: Mapping[str, Spec] = {"parity": Spec.discrete(2)}
+    actions = ("even", "odd")
+
+    def __init__(self) -> None:
+        self._commands = tuple({"pipe": {"answer": action}} for action in range(2))
+
+    def bind(self, devices: Mapping[str, DeviceSpec]) -> None: ...
+
+    def begin(self) -> None: ...
+
+    def interpret(self, observation: Observation) -> Outcome:
+        return Outcome((float(observation.samples["pipe"].values["parity"]),))
+
+    def commands(self, action: int) -> Mapping[str, Command]:
+        return self._commands[action]
+
+    def answers(self, action: int, stimulus: Stimulus) -> bool:
+        return True
+
+
+async def bare_reactions(pipe: int) -> list[int]:
+    """Return the times (ns) from events to a bare handler."""
+    loop, reactions = asyncio.get_running_loop(), list[int]()
+    finished = loop.create_future()
+
+    def handle() -> None:
+        (stamp,) = STAMP.unpack(os.read(pipe, STAMP.size))
+        reactions.append(time.monotonic_ns() - stamp)
+        if len(reactions) == EVENTS:
+            finished.set_result(None)
+            loop.remove_reader(pipe)
+
+    loop.add_reader(pipe, handle)
+    await finished
+    return reactions
+
+
+async def agent_reactions(pipe: int, sink: int) -> tuple[list[int], list[int]]:
+    """Return the times (ns) from events to the end of act, as the device saw and as the run reports them."""
+    device, task = PipeDevice(pipe, sink), AnswerTask()
+    features = Tabular(state=task.state)
+    agent = Agent(features, Sarsa(size=features.size, actions=2), Greedy(), np.random.default_rng(0))
+    plan = Plan(limits=Limits(episode_steps=EVENTS))
+    result = await run({"pipe": device}, task, agent, REACTIVE, plan)
+    return device.reactions, result.reaction_times
+
+
+async def reaction_rounds(pipe: int, sink: int) -> dict[str, list[int]]:
+    """Return all times; the first of each round are left out, as they waited while the round began."""
+    times: dict[str, list[int]] = {"bare": [], "agent": [], "reported": []}
+    for _ in range(REACTION_ROUNDS):
+        bare = await bare_reactions(pipe)
+        agent, reported = await agent_reactions(pipe, sink)
+        for kind, figures in (("bare", bare), ("agent", agent), ("reported", reported)):
+            times[kind] += figures[5:]
+    return times
+
+
+def measure_reactions() -> dict[str, list[int]]:
+    spawn = multiprocessing.get_context("spawn")
+    pipe, other_end = spawn.Pipe(duplex=False)
+    writer = spawn.Process(target=write_events, args=(other_end,))
+    writer.start()
+    other_end.close()
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        return clock.run(reaction_rounds(pipe.fileno(), sink), "real")
+    finally:
+        pipe.close()
+        os.close(sink)
+        writer.join()
+
+
+def reaction_rows() -> Iterator[Row]:
+    times = measure_reactions()
+    names = {
+        "bare": "event to a bare add_reader handler",
+        "agent": "event to the end of the agent's act",
+        "reported": "the same as the run reports it",
+    }
+    for kind, name in names.items():
+        p50, p99 = np.quantile(times[kind], (0.5, 0.99)) / 1e3
+        yield Row(f"{name}, p50", float(p50), "µs")
+        yield Row(f"{name}, p99", float(p99), "µs")
+    yield Row("the agent's to the bare handler's, p50", median(times["agent"]) / median(times["bare"]), "×", 1.3)
+
+
+def rows() -> Iterator[Row]:
+    yield from cycle_rows()
+    yield from reaction_rows()
+
+
+if __name__ == "__main__":
+    sys.exit(main(rows, __doc__))
