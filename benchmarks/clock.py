@@ -87,7 +87,11 @@ def stopping(preset: str) -> tuple[Result, float]:
     async def trials() -> Result:
         devices = {"joint": stopping_joint()}
         return await run(
-            devices, task, lambda rng: Agent(features, Sarsa(size=features.size, actions=2), Greedy(), rng), schedule, plan
+            devices,
+            task,
+            lambda rng: Agent(features, Sarsa(size=features.size, actions=2), Greedy(), rng),
+            schedule,
+            plan,
         )
 
     start = time.perf_counter()

@@ -22,7 +22,7 @@ from rtagent.instruments import Hooks
 from rtagent.pacing import Pacer
 from rtagent.reaction import ReactionTimer
 from rtagent.recorder import EpisodeRecord, Recorder
-from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Schedule, prologue
+from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Order, Schedule, prologue
 from rtagent.senses import Senses
 from rtagent.supervision import HangGuard, SupervisedDevice
 from rtagent.task import Task
@@ -45,6 +45,18 @@ class Limits:
             (self.episode_time and elapsed >= self.episode_time)
             or (self.episode_steps and steps >= self.episode_steps)
         )
+
+
+def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
+    """Return what runs before the first cycle; raise `ScheduleError` where schedule and agent do not fit."""
+    before = prologue(schedule.order, agent.learner.needs_next_action)
+    if schedule.acts and agent.policy is None:
+        raise ScheduleError(
+            "the order has act and choose, but the agent has no policy: add one, or leave both out."
+        )
+    if agent.policy is not None and not schedule.acts:
+        raise ScheduleError("the agent has a policy, but the order never chooses: leave one of them out.")
+    return before
 
 
 class Runtime:
@@ -71,7 +83,7 @@ class Runtime:
         self._recorder, self._hooks, self._limits = recorder, hooks, limits
         self._costs, self._costs_rng = (costs if clock.virtual else {}), costs_rng
         self._reactions = ReactionTimer(task.answers)
-        self._prologue = prologue(schedule.order, agent.learner.needs_next_action)
+        self._prologue = agent_prologue(schedule, agent)
         self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose, LEARN: self._learn}
         self._senses = Senses(self._all, schedule, clock, recorder)
         self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
@@ -111,8 +123,9 @@ class Runtime:
         while not self._over:
             await self._next_cycle()
             for component in chooser.cycle(self):
-                if not self._over or self._still_runs(component):
-                    await self._components[component]()
+                await self._components[component]()
+                if self._over:
+                    break
         await self._end()
         return self._episode
 
@@ -139,11 +152,8 @@ class Runtime:
         period = self._schedule.period
         return Pacer(period, self._schedule.overrun, now - period) if period else None
 
-    def _still_runs(self, component: Component) -> bool:
-        """Say whether a component has work once the episode is over: learning, and SARSA's last A'."""
-        return component is LEARN or (component is CHOOSE and self._agent.awaits_next_action)
-
     async def _end(self) -> None:
+        """Learn what is left; a truncated episode still wants SARSA's A', which is chosen and not acted on."""
         if self._agent.awaits_next_action:
             await self._choose()
         await self._learn()

@@ -110,6 +110,8 @@ class Schedule:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", parse_order(self.order))
+        for name, kind in (("overrun", Overrun), ("observe", Wait)):
+            object.__setattr__(self, name, _one_of(kind, getattr(self, name), name))
         for name in ("learn_delay", "period", "observe_timeout"):
             if getattr(self, name) < 0:
                 raise ScheduleError(f"schedule.{name} is negative: give a time of 0 or more.")
@@ -127,6 +129,12 @@ class Schedule:
     def make_chooser(self) -> Chooser:
         """Return a chooser for one episode."""
         return self.chooser() if self.chooser else ListChooser(self.order)
+
+
+def _one_of(kind: type[StrEnum], value: str, name: str) -> StrEnum:
+    if value not in list(kind):
+        raise ScheduleError(f"schedule.{name} is {value!r}: use one of {', '.join(kind)}.")
+    return kind(value)
 
 
 def parse_order(order: Iterable[str]) -> Order:

@@ -59,7 +59,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     # Callbacks
 
     def call_soon(
-        self, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
+        self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.Handle:
         """Call `callback` in the next round."""
         self._check_closed()
@@ -72,7 +72,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def call_later(
         self,
         delay: float,
-        callback: Callable[[Unpack[Ts]], object],
+        callback: Callable[[*Ts], object],
         *args: *Ts,
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
@@ -82,7 +82,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def call_at(
         self,
         when: float,
-        callback: Callable[[Unpack[Ts]], object],
+        callback: Callable[[*Ts], object],
         *args: *Ts,
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
@@ -90,7 +90,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return self.call_at_ns(round(when * 1e9), callback, *args, context=context)
 
     def call_at_ns(
-        self, when: int, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
+        self, when: int, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.TimerHandle:
         """Call `callback` when the virtual time is `when`, in ns."""
         self._check_closed()
@@ -116,7 +116,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             return made
         return asyncio.Task(coro, loop=self, **settings)
 
-    def run_in_executor(self, executor: Any, func: Callable[[Unpack[Ts]], T], *args: *Ts) -> asyncio.Future[T]:
+    def run_in_executor(self, executor: Any, func: Callable[[*Ts], T], *args: *Ts) -> asyncio.Future[T]:
         """Call `func` at once: under the virtual clock there is no other thread to wait for."""
         future: asyncio.Future[T] = self.create_future()
         try:

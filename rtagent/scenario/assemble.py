@@ -16,10 +16,10 @@ from rtagent.device import Device
 from rtagent.errors import RtagentError, ScenarioError
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.result import Result
-from rtagent.runtime import Limits
+from rtagent.runtime import Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.source import KeyPath
-from rtagent.schedule import Component, Order, Schedule, prologue
+from rtagent.schedule import Component, Order, Schedule
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
 from rtagent.task import Task
@@ -87,7 +87,7 @@ def assemble(scenario: Scenario) -> Assembly:
     agent = make_agent and _try_agent(make_agent, scenario, problems)
     before: Order = ()
     if schedule is not None and agent is not None:
-        before = problems.attempt(("schedule",), lambda: _check_schedule(schedule, agent)) or ()
+        before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
     plan = _plan(scenario)
     if schedule is not None and scenario.model.run.clock == "virtual":
         problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
@@ -133,14 +133,6 @@ def _schedule(scenario: Scenario) -> Schedule:
     if table.preset is not None:
         return Schedule.preset(table.preset, **settings)
     return Schedule(tuple(table.order or ()), **settings)
-
-
-def _check_schedule(schedule: Schedule, agent: Agent) -> Order:
-    if schedule.acts and agent.policy is None:
-        raise ValueError("the order has act and choose, but there is no [policy]: add one, or leave both out.")
-    if agent.policy is not None and not schedule.acts:
-        raise ValueError("there is a [policy], but the order never chooses: leave one of them out.")
-    return prologue(schedule.order, agent.learner.needs_next_action)
 
 
 def _costs(scenario: Scenario) -> Costs:

@@ -1,0 +1,95 @@
+"""What several test modules share: small devices, worlds, features and ways to run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.random import Generator
+
+from rtagent import clock
+from rtagent.experience import Command, FeatureVector, Stimulus, Transition, Values
+from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Order
+from rtagent.specs import DeviceSpec, Spec
+
+T = TypeVar("T")
+
+STANDARD: Order = (ACT, OBSERVE, CHOOSE, LEARN)
+REACTIVE: Order = (OBSERVE, CHOOSE, ACT, LEARN)
+
+
+def rotations(order: Order) -> list[Order]:
+    return [order[turn:] + order[:turn] for turn in range(len(order))]
+
+
+def virtually(main: Coroutine[Any, Any, T], start: int | None = None) -> T:
+    """Run `main` under the virtual clock."""
+    return clock.run(main, "virtual", start)
+
+
+def one_hot(*indices: int) -> FeatureVector:
+    """Return binary features."""
+    return FeatureVector(np.array(indices, dtype=np.intp))
+
+
+def step(
+    state: int,
+    action: int | None,
+    reward: float,
+    following: int,
+    next_action: int | None = None,
+    *,
+    terminated: bool = False,
+    truncated: bool = False,
+) -> Transition:
+    """Return a transition between two states that have one feature each."""
+    before, after = one_hot(state), one_hot(following)
+    return Transition(before, action, 1.0, reward, after, next_action, 0, terminated, truncated)
+
+
+class RampWorld:
+    """A world whose one sensor shows for how many ns the episode has gone on, and that keeps its commands."""
+
+    def __init__(self, changes: Sequence[int] = ()) -> None:
+        self.spec = DeviceSpec(sensors={"age": Spec(low=0.0)}, actuators={"power": Spec(low=-1.0, high=1.0)})
+        self._changes = changes
+        self.commands: list[tuple[int, Command]] = []
+        self.safe: list[int] = []
+        self.began: list[int] = []
+
+    def begin(self, now: int, rng: Generator) -> None:
+        self.began.append(now)
+
+    def values(self, time: int) -> Values:
+        return {"age": float(time - self.began[-1])}
+
+    def command(self, now: int, command: Command) -> Command:
+        self.commands.append((now, command))
+        return command
+
+    def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
+        times = (self.began[-1] + change for change in self._changes)
+        return [Stimulus(time) for time in times if after < time <= until]
+
+    def next_change(self, now: int) -> int | None:
+        times = (self.began[-1] + change for change in self._changes)
+        return min((time for time in times if time > now), default=None)
+
+    def make_safe(self, now: int) -> None:
+        self.safe.append(now)
+
+
+def visible(values: Values, names: Sequence[str]) -> Mapping[str, Any]:
+    """Return only these sensors."""
+    return {name: values[name] for name in names}
+
+
+def read_in_any_order(
+    read: Callable[[int], Values], times: Sequence[int], rng: Generator
+) -> list[tuple[Values, Values]]:
+    """Read a world at `times` in order, and again shuffled; return both readings of each time."""
+    in_order = {time: read(time) for time in times}
+    shuffled = [times[place] for place in rng.permutation(len(times))]
+    again = {time: read(time) for time in shuffled}
+    return [(in_order[time], again[time]) for time in times]
