@@ -6,8 +6,7 @@ Nothing here waits for anything; the runtime says when each component runs.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -19,8 +18,7 @@ from rtagent.learning import ControlLearner, PredictionLearner
 from rtagent.policy import Policy
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(NamedTuple):
     """An action, what it was chosen from, and with which probability."""
 
     features: FeatureVector

@@ -17,7 +17,8 @@ log = logging.getLogger("rtagent")
 class Instrument:
     """The hooks, all optional: any object that has some of these methods is an instrument.
 
-    Times are in ns. A hook that raises is removed for the rest of the run, and logged.
+    Times are in ns. During a cycle hooks are called after the act, never between an observation and its action.
+    A hook that raises is removed for the rest of the run, and logged.
     """
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
@@ -61,9 +62,20 @@ class Hooks:
         }
         self.any = any(self._calls.values())
         self.removed: list[str] = []
+        self._noted: list[tuple[str, tuple[Any, ...]]] = []
+
+    def note(self, name: str, *args: Any) -> None:
+        """Keep a call for later."""
+        self._noted.append((name, args))
+
+    def tell(self) -> None:
+        """Make the calls that were kept, in order."""
+        noted, self._noted = self._noted, []
+        for name, args in noted:
+            self.call(name, *args)
 
     def call(self, name: str, *args: Any) -> None:
-        """Call the hook `name` of every instrument."""
+        """Call the hook `name` of every instrument, now."""
         for hook in self._calls[name]:
             try:
                 hook(*args)

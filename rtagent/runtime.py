@@ -5,18 +5,18 @@ This is the only module that awaits components.
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Mapping
+import types
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 
-from numpy.random import Generator
+from numpy.random import Generator as RandomGenerator
 
 from rtagent.agent import Agent
 from rtagent.clock import Clock
 from rtagent.costs import Costs
 from rtagent.device import Episodic
 from rtagent.errors import ScheduleError
-from rtagent.experience import Command, Outcome
+from rtagent.experience import Outcome
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
 from rtagent.pacing import Pacer
@@ -59,6 +59,12 @@ def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
     return before
 
 
+@types.coroutine
+def yield_once() -> Generator[None, None, None]:
+    """Let the event loop do whatever is ready (`asyncio.sleep(0)` without its overhead)."""
+    yield
+
+
 class Runtime:
     """One agent with its devices, task and schedule, under the clock of the running loop."""
 
@@ -74,7 +80,7 @@ class Runtime:
         recorder: Recorder,
         hooks: Hooks,
         costs: Costs,
-        costs_rng: Generator,
+        costs_rng: RandomGenerator,
         limits: Limits,
     ) -> None:
         self._devices, self._all = devices, tuple(devices.values())
@@ -88,6 +94,8 @@ class Runtime:
         self._senses = Senses(self._all, schedule, clock, recorder)
         self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
+        self._record_queue_length = recorder.queue_length.record
+        self._limited_episodes = bool(limits.episode_time or limits.episode_steps)
         agent.keeps_transitions = schedule.learns
 
     # What a chooser can ask (schedule.Situation)
@@ -114,9 +122,10 @@ class Runtime:
 
     # The main path
 
-    async def run_episode(self, trial: int, episode: int, rngs: Mapping[str, Generator]) -> EpisodeRecord:
+    async def run_episode(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> EpisodeRecord:
         """Run one episode; `rngs` has a random stream for each device."""
         await self._begin(trial, episode, rngs)
+        self._mark = self._now()
         for component in self._prologue:
             await self._components[component]()
         chooser = self._schedule.make_chooser()
@@ -126,10 +135,12 @@ class Runtime:
                 await self._components[component]()
                 if self._over:
                     break
+            if not self._schedule.acts:
+                self._tell()
         await self._end()
         return self._episode
 
-    async def _begin(self, trial: int, episode: int, rngs: Mapping[str, Generator]) -> None:
+    async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
         for device in self._all:
             if isinstance(device.device, Episodic):
                 begun = device.device.begin_episode(rngs[device.name])
@@ -157,6 +168,7 @@ class Runtime:
         if self._agent.awaits_next_action:
             await self._choose()
         await self._learn()
+        self._tell()
         now = self._now()
         unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
         self._episode.ended = self._observed_at
@@ -171,18 +183,20 @@ class Runtime:
         if self._pacer is not None:
             await self._clock.sleep_until(self._pacer.next(self._now()))
         else:
-            await asyncio.sleep(0)
+            await yield_once()
         if self._idling is not None:
             await self._idling.cycle_ended(settled=not self._changed and self._agent.repeats_action)
             self._changed = False
+        self._mark = self._now()
 
     # The components
 
     async def _observe(self) -> None:
-        start = self._now()
         observation, stimuli = await self._senses.observe()
         now = observation.time
-        outcome = self._limited(self._task.interpret(observation), now)
+        outcome = self._task.interpret(observation)
+        if self._limited_episodes:
+            outcome = self._limited(outcome, now)
         self._episode.total_reward += outcome.reward
         self._observed_at = now
         if self._agent.observe(outcome, now) is not None:
@@ -193,73 +207,69 @@ class Runtime:
             await self._charge(OBSERVE)
         self._over = outcome.terminated or outcome.truncated
         self._episode.truncated = outcome.truncated
-        self._done(OBSERVE, start)
-        self._recorder.queue_length.record(len(self._agent.queue))
+        self._done(OBSERVE)
+        self._record_queue_length(len(self._agent.queue))
         if self._hooks.any:
-            self._hooks.call("observed", observation, stimuli)
+            self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
-        start = self._now()
         decision = self._agent.choose()
         if self._costs:
             await self._charge(CHOOSE)
         self._reactions.chose()
-        end = self._done(CHOOSE, start)
+        end = self._done(CHOOSE)
         if self._hooks.any:
-            self._hooks.call("chose", decision.action, decision.probability, end)
+            self._hooks.note("chose", decision.action, decision.probability, end)
 
     async def _act(self) -> None:
-        start = self._now()
-        decision = self._agent.chosen
+        start, decision, sent = self._mark, self._agent.chosen, {}
         if decision is None or decision.action is None:
             raise ScheduleError("act comes before anything was chosen: put observe and choose before it.")
         if self._costs:
             await self._charge(ACT)
-        sent = await self._send(self._task.commands(decision.action))
-        end = self._done(ACT, start)
-        if sent is None:
-            return
-        self._changed = self._changed or not self._agent.repeats_action
-        self._agent.acted()
-        reactions = self._reactions.acted(decision.action, start, end)
-        if self._hooks.any:
-            self._hooks.call("acted", decision.action, sent, start, end)
-            for reaction in reactions:
-                self._hooks.call("reacted", reaction)
+        for name, command in self._task.commands(decision.action).items():
+            sent[name] = await self._devices[name].act(command)
+        end = self._done(ACT)
+        if None not in sent.values():
+            self._changed = self._changed or not self._agent.repeats_action
+            self._agent.acted()
+            reactions = self._reactions.acted(decision.action, start, end)
+            if self._hooks.any:
+                self._hooks.note("acted", decision.action, sent, start, end)
+                for reaction in reactions:
+                    self._hooks.note("reacted", reaction)
+        self._tell()
 
     async def _learn(self) -> None:
         while self._agent.queue:
-            start = self._now()
             transition, delta = self._agent.learn()
             if self._schedule.learn_delay:
                 await self._clock.compute(self._schedule.learn_delay)
             if self._costs:
                 await self._charge(LEARN)
-            end = self._done(LEARN, start)
+            end = self._done(LEARN)
             if self._hooks.any:
-                self._hooks.call("learned", transition, delta, end)
+                self._hooks.note("learned", transition, delta, end)
 
-    def _done(self, component: Component, start: int) -> int:
-        end = self._now()
+    def _done(self, component: Component) -> int:
+        """Note that a component has ended; it began where the last one did, or the cycle."""
+        start, end = self._mark, self._now()
         self._record_component[component](end - start)
         if self._hooks.any:
-            self._hooks.call("component", component, start, end)
+            self._hooks.note("component", component, start, end)
+        self._mark = end
         return end
+
+    def _tell(self) -> None:
+        """Call the hooks for all that was noted: never between an observation and its action."""
+        if self._hooks.any:
+            self._hooks.tell()
+            self._mark = self._now()
 
     async def _charge(self, component: Component) -> None:
         cost = self._costs.get(component)
         if cost is not None:
             await self._clock.charge(cost.draw(self._costs_rng))
-
-    async def _send(self, commands: Mapping[str, Command]) -> dict[str, Command] | None:
-        """Hand the commands over; return what was sent, or None unless every device took its own."""
-        sent = {}
-        for name, command in commands.items():
-            taken = await self._devices[name].act(command)
-            if taken is None:
-                return None
-            sent[name] = taken
-        return sent
 
     def _limited(self, outcome: Outcome, now: int) -> Outcome:
         if outcome.terminated or outcome.truncated:

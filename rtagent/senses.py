@@ -10,7 +10,7 @@ from rtagent.errors import DeviceError
 from rtagent.experience import Observation, Sample, Stimulus
 from rtagent.recorder import Recorder
 from rtagent.schedule import Schedule, Wait
-from rtagent.supervision import SupervisedDevice
+from rtagent.supervision import NO_STIMULI, SupervisedDevice
 from rtagent.units import describe, second
 
 NOTHING: frozenset[str] = frozenset()
@@ -25,21 +25,27 @@ class Senses:
         self._devices, self._clock, self._recorder = devices, clock, recorder
         self._waits = schedule.observe is Wait.FRESH
         self._timeout = schedule.observe_timeout
+        self._now, self._record_age = clock.now, recorder.sample_age.record
+        self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
-    async def observe(self) -> tuple[Observation, list[Stimulus]]:
+    async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
         """Return an observation, and the stimuli that it is the first to contain."""
         if self._waits and len(self._devices) == 1:
-            await self._wait_for_one(self._devices[0])
+            if not await self._devices[0].wait(self._timeout):
+                self._recorder.counters["observe_timeouts"] += 1
         else:
             await self._read_all()
-        samples = {device.name: device.sample or await self._first_sample(device) for device in self._devices}
-        now = self._clock.now()
-        stimuli = [stimulus for device in self._devices for stimulus in device.new_stimuli()]
-        return Observation(now, samples, self._stale(samples, now)), stimuli
-
-    async def _wait_for_one(self, device: SupervisedDevice) -> None:
-        if not await device.wait(self._timeout):
-            self._recorder.counters["observe_timeouts"] += 1
+        samples: dict[str, Sample] = {}
+        stimuli = NO_STIMULI
+        for device in self._devices:
+            samples[device.name] = device.sample or await self._first_sample(device)
+            new = device.new_stimuli()
+            if new:
+                stimuli = [*stimuli, *new]
+        now = self._now()
+        for sample in samples.values():
+            self._record_age(now - sample.world_time)
+        return Observation(now, samples, self._stale(now) if self._may_be_stale else NOTHING), stimuli
 
     async def _read_all(self) -> None:
         fresh = False
@@ -81,8 +87,5 @@ class Senses:
             await device.wait(left)
         return device.sample
 
-    def _stale(self, samples: dict[str, Sample], now: int) -> frozenset[str]:
-        for sample in samples.values():
-            self._recorder.sample_age.record(now - sample.world_time)
-        stale = [device.name for device in self._devices if device.stale(now)]
-        return frozenset(stale) if stale else NOTHING
+    def _stale(self, now: int) -> frozenset[str]:
+        return frozenset(device.name for device in self._may_be_stale if device.stale(now))

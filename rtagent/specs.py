@@ -19,11 +19,14 @@ Value = float | int | bool | np.ndarray
 """One value of a signal or of a command: a plain number where the shape is (), else an array."""
 
 
+WIDE = 1e6
+
+
 @dataclass(frozen=True)
 class Spec:
     """One signal: its shape, dtype, unit and range (both ends belong to it).
 
-    Raises `SpecError` where the range is empty or a bool is given a shape or a range.
+    The range of a bool is 0 to 1. Raises `SpecError` where the range is empty, or a bool is given another one.
     """
 
     dtype: Literal["float", "int", "bool"] = "float"
@@ -33,7 +36,12 @@ class Spec:
     high: float = math.inf
 
     def __post_init__(self) -> None:
-        if not self.low <= self.high:
+        if self.dtype == "bool":
+            if (self.low, self.high) not in ((-math.inf, math.inf), (0, 1)):
+                raise SpecError("a bool is false or true: leave out its range.")
+            object.__setattr__(self, "low", 0)
+            object.__setattr__(self, "high", 1)
+        if not self.low <= self.high or (self._ends() and self.dtype != "float" and self._whole_values() < 1):
             raise SpecError(f"the range of a spec is empty: low {self.low} is above high {self.high}.")
 
     @classmethod
@@ -44,20 +52,23 @@ class Spec:
     @classmethod
     def flag(cls) -> Spec:
         """Return the spec of something that is true or false."""
-        return cls(dtype="bool", low=0, high=1)
+        return cls(dtype="bool")
 
     @property
     def count(self) -> int:
         """How many values a scalar of this spec can take; raises `SpecError` where that is not finite."""
-        if self.dtype == "float" or self.shape or math.isinf(self.low) or math.isinf(self.high):
+        if self.dtype == "float" or self.shape or not self._ends():
             raise SpecError(f"{self} has no finite number of values: use a coder for continuous signals.")
-        return int(self.high) - int(self.low) + 1
+        return self._whole_values()
 
     def problem(self, value: object) -> str | None:
         """Say in words what is wrong with `value`, or return None where it fits."""
         if self.shape == () and isinstance(value, float | int | bool | np.bool_ | np.floating | np.integer):
-            return self._scalar_problem(float(value))
-        array = np.asarray(value)
+            return self._scalar_problem(value)
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            return f"{value!r} is not an array of one shape"
         if array.dtype.kind not in "biuf":
             return f"{value!r} is not a number"
         if array.shape != self.shape:
@@ -74,12 +85,13 @@ class Spec:
             raise SpecError(f"{name}: {problem}; expected {self}.")
 
     def generate(self, rng: Generator) -> Value:
-        """Draw a value that fits, uniformly where the range is finite."""
-        low, high = max(self.low, -1e6), min(self.high, 1e6)
+        """Draw a value that fits, uniformly over the range, or over a wide part of one that has no end."""
+        low = self.low if math.isfinite(self.low) else min(self.high, WIDE) - 2 * WIDE
+        high = self.high if math.isfinite(self.high) else low + 2 * WIDE
         drawn: np.ndarray = np.asarray(
             rng.uniform(low, high, self.shape)
             if self.dtype == "float"
-            else rng.integers(int(low), int(high), self.shape, endpoint=True)
+            else rng.integers(math.ceil(low), math.floor(high), self.shape, endpoint=True)
         )
         value: Value = drawn.astype(self.dtype) if self.shape else drawn.astype(self.dtype).item()
         return value
@@ -95,8 +107,14 @@ class Spec:
         unit = f" {self.unit}" if self.unit else ""
         return f"{size}{self.dtype} from {self.low:g} to {self.high:g}{unit}"
 
-    def _scalar_problem(self, value: float) -> str | None:
-        if not math.isfinite(value):
+    def _ends(self) -> bool:
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    def _whole_values(self) -> int:
+        return math.floor(self.high) - math.ceil(self.low) + 1
+
+    def _scalar_problem(self, value: float | np.floating | np.integer | np.bool_) -> str | None:
+        if isinstance(value, float | np.floating) and not math.isfinite(value):
             return f"{value} is not finite"
         if self.dtype != "float" and int(value) != value:
             return f"{value} is not a whole number"

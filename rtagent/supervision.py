@@ -26,6 +26,7 @@ LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
 SAFE_TIMEOUT = 1 * second
 NEVER = 1 << 62
+NO_STIMULI: Sequence[Stimulus] = ()
 
 
 @dataclass(frozen=True)
@@ -64,27 +65,41 @@ class HangGuard:
 
     async def bound(self, call: Awaitable[T], limit: int, what: str) -> T:
         """Await `call` for at most `limit` (ns); raise TimeoutError where it takes longer."""
+        self.arm(limit, what)
+        try:
+            return await call
+        except BaseException as error:
+            raise self.explained(error) from None
+        finally:
+            self.disarm()
+
+    def arm(self, limit: int, what: str) -> None:
+        """Begin to watch a call that the running task awaits, for at most `limit` (ns)."""
         self._what, self._limit = what, limit
         self._deadline = self._now() + limit
         if self._deadline < self._looks_at:
             self._watch(limit)
-        try:
-            return await call
-        except asyncio.CancelledError:
-            if not self._take_back_cancellation():
-                raise
-            raise TimeoutError(f"no answer within {describe(limit)}") from None
-        finally:
-            self._deadline = 0
-            self._cancelled = False
+
+    def disarm(self) -> None:
+        """End watching the call."""
+        self._deadline = 0
+        self._cancelled = False
+
+    def explained(self, error: BaseException) -> Exception:
+        """Return the error of a watched call: TimeoutError where it was overdue; raise one that is none of ours."""
+        if self._take_back_cancellation(error):
+            return TimeoutError(f"no answer within {describe(self._limit)}")
+        if not isinstance(error, Exception):
+            raise error
+        return error
 
     def close(self) -> None:
         """Stop watching."""
         if self._timer is not None:
             self._timer.cancel()
 
-    def _take_back_cancellation(self) -> bool:
-        if not self._cancelled:
+    def _take_back_cancellation(self, error: BaseException) -> bool:
+        if not self._cancelled or not isinstance(error, asyncio.CancelledError):
             return False
         task = asyncio.current_task()
         return task is not None and task.uncancel() == 0
@@ -125,6 +140,7 @@ class SupervisedDevice:
     ) -> None:
         self.name, self.device, self.supervision = name, device, supervision
         self._clock, self._guard, self._report = clock, guard, report
+        self._reading, self._acting = f"{name}.read", f"{name}.act"
         sensors = device.spec.sensors.items()
         self._ranges = [(sensor, spec.low, spec.high) for sensor, spec in sensors if _plain(spec)]
         self._others = [(sensor, spec) for sensor, spec in sensors if not _plain(spec)]
@@ -154,11 +170,14 @@ class SupervisedDevice:
         """Take the newest sample; say whether it is new. Errors are counted; raises `DeadDeviceError`."""
         if self._failing_since is not None and not self._may_retry():
             return False
+        self._guard.arm(self._budget(), self._reading)
         try:
-            sample = await self._bounded(self.device.read(newer_than), "read")
-        except Exception as error:
-            self._failed("read", error)
+            sample = await self.device.read(newer_than)
+        except BaseException as error:
+            self._failed("read", self._guard.explained(error))
             return False
+        finally:
+            self._guard.disarm()
         self._failing_since = None
         return self._accept(sample)
 
@@ -168,14 +187,19 @@ class SupervisedDevice:
             now = self._clock.now()
             await self._clock.sleep_until(min(max(self._retry_at, now + FIRST_PAUSE), now + limit))
             return await self.read(-1)
+        self._guard.arm(limit, self._reading)
         try:
-            sample = await self._guard.bound(self.device.read(self.sequence), limit, f"{self.name}.read")
-        except TimeoutError:
+            sample = await self.device.read(self.sequence)
+        except BaseException as error:
+            failure = self._guard.explained(error)
+        else:
+            return self._accept(sample)
+        finally:
+            self._guard.disarm()
+        if isinstance(failure, TimeoutError):
             return await self.read(-1)
-        except Exception as error:
-            self._failed("read", error)
-            return False
-        return self._accept(sample)
+        self._failed("read", failure)
+        return False
 
     def take(self, reading: asyncio.Task[Sample]) -> bool:
         """Take the sample of a finished reading; say whether it is new."""
@@ -194,13 +218,16 @@ class SupervisedDevice:
     async def act(self, command: Command) -> Command | None:
         """Send a command; return what was sent, or None where it could not be (counted)."""
         if self._failing_since is None or self._may_retry():
+            self._guard.arm(self._budget(), self._acting)
             try:
-                sent = await self._bounded(self.device.act(command), "act")
-            except Exception as error:
-                self._failed("act", error)
+                sent = await self.device.act(command)
+            except BaseException as error:
+                self._failed("act", self._guard.explained(error))
             else:
                 self._failing_since = None
                 return sent
+            finally:
+                self._guard.disarm()
         self._counts["commands_not_sent"] += 1
         return None
 
@@ -215,11 +242,11 @@ class SupervisedDevice:
     def new_stimuli(self, until: int | None = None) -> Sequence[Stimulus]:
         """Return the stimuli up to the newest sample (or up to `until`, ns) that were not returned before."""
         if self._stimulating is None or self.sample is None:
-            return ()
+            return NO_STIMULI
         after = self._stimuli_until
         end = self.sample.world_time if until is None else until
         if end <= after:
-            return ()
+            return NO_STIMULI
         self._stimuli_until = end
         return self._stimulating.stimuli(after, end)
 
@@ -245,11 +272,12 @@ class SupervisedDevice:
         own = self.device.counters if isinstance(self.device, Counting) else {}
         return {name: count for name, count in (Counter(own) + self._counts).items() if count}
 
-    async def _bounded(self, call: Awaitable[T], verb: str) -> T:
+    def _budget(self) -> int:
+        """Return how long (ns) a call may take: what is left of the retry budget."""
         timeout = self.supervision.timeout
         if self._failing_since is not None:
-            timeout -= self._clock.now() - self._failing_since
-        return await self._guard.bound(call, max(timeout, FIRST_PAUSE), f"{self.name}.{verb}")
+            timeout = max(timeout - (self._clock.now() - self._failing_since), FIRST_PAUSE)
+        return timeout
 
     def _may_retry(self) -> bool:
         now = self._clock.now()
@@ -307,7 +335,10 @@ class SupervisedDevice:
             for name, low, high in self._ranges:
                 if not low <= values[name] <= high:  # NaN fails too
                     return False
-            return all(spec.problem(values[name]) is None for name, spec in self._others)
+            for name, spec in self._others:
+                if spec.problem(values[name]) is not None:
+                    return False
+            return True
         except (KeyError, TypeError, ValueError):
             return False
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rtagent.errors import UnitError
@@ -20,7 +21,11 @@ us = 1_000
 ms = 1_000_000
 second = 1_000_000_000
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d[\d_]*)?(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([^\s\d].*?)?\s*")
+LARGEST = 2.0**63
+"""Whole quantities (ns, baud) are below this."""
+
+_NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]+)*(?:\.[0-9]+)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(\D.*?)?\s*")
 
 
 @dataclass(frozen=True)
@@ -53,8 +58,8 @@ class Quantity:
         return f"{int(value) // scale}{unit}"
 
     def _parse_text(self, text: str) -> float | int:
-        match = _NUMBER.fullmatch(text)
-        if match is None or not match[1]:
+        match = _QUANTITY.fullmatch(text)
+        if match is None:
             raise UnitError(f"{text!r} is not a number with a unit: write {self._expected()}.")
         number = float(match[1])
         unit = (match[2] or "").replace("μ", "µ")
@@ -63,10 +68,10 @@ class Quantity:
                 return 0 if self.whole else 0.0
             known = ", ".join(self.units)
             raise UnitError(f"{unit!r} in {text!r} is no unit of {self.kind}: use one of {known}.")
-        if not math.isfinite(number):
-            raise UnitError(f"{text!r} is not finite.")
         scaled = number * self.units[unit]
-        return round(scaled) if self.whole else scaled
+        if not abs(scaled) < (LARGEST if self.whole else math.inf):
+            raise UnitError(f"{text!r} is too large.")
+        return round(Decimal(match[1]) * int(self.units[unit])) if self.whole else scaled
 
     def _expected(self, number: object = 50) -> str:
         unit = list(self.units)[min(2, len(self.units) - 1)]
@@ -84,7 +89,7 @@ class Quantity:
     def __get_pydantic_json_schema__(self, schema: object, handler: object) -> dict[str, Any]:
         """Describe the written form to editors."""
         units = "|".join(re.escape(unit) for unit in self.units)
-        pattern = rf"^\s*[-+]?[\d_]*\.?\d*([eE][-+]?\d+)?\s*({units})\s*$"
+        pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
         description = f"A {self.kind}: a number and one of {', '.join(self.units)}."
         return {"anyOf": [{"type": "string", "pattern": pattern}, {"const": 0}], "description": description}
 
@@ -126,5 +131,6 @@ def describe(nanoseconds: float) -> str:
     """Write a time with three digits and the unit that suits it: `24.8 ms`."""
     for unit, scale in (("s", second), ("ms", ms), ("µs", us)):
         if abs(nanoseconds) >= scale:
-            return f"{nanoseconds / scale:.3g} {unit}"
+            number = nanoseconds / scale
+            return f"{number:.3g} {unit}" if abs(number) < 999.5 else f"{number:.0f} {unit}"
     return f"{nanoseconds:.0f} ns"

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.random import Generator
 
-from rtagent import clock
+from rtagent import Agent, Limits, Plan, Result, Schedule, clock, run, second
+from rtagent.costs import Costs
+from rtagent.device import Device
 from rtagent.experience import Command, FeatureVector, Stimulus, Transition, Values
+from rtagent.features import Tabular
+from rtagent.learning import Sarsa
+from rtagent.policy import Greedy
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Order
 from rtagent.specs import DeviceSpec, Spec
+from rtagent.tasks import Stopping
+from rtagent_drivers.stopping import stopping_joint
 
 T = TypeVar("T")
 
@@ -93,3 +100,27 @@ def read_in_any_order(
     shuffled = [times[place] for place in rng.permutation(len(times))]
     again = {time: read(time) for time in shuffled}
     return [(in_order[time], again[time]) for time in times]
+
+
+def run_joint(
+    schedule: Schedule,
+    *,
+    joint: Device | None = None,
+    episodes: int = 1,
+    costs: Costs | None = None,
+    instruments: Iterable[object] = (),
+    clock_name: clock.ClockName = "virtual",
+) -> Result:
+    """Run the stopping task with a greedy SARSA agent."""
+    task = Stopping()
+
+    def make_agent(rng: Generator) -> Agent:
+        features = Tabular(state=task.state)
+        return Agent(features, Sarsa(size=features.size, actions=2), Greedy(), rng)
+
+    async def main() -> Result:
+        plan = Plan(episodes=episodes, limits=Limits(episode_time=10 * second))
+        devices = {"joint": joint or stopping_joint()}
+        return await run(devices, task, make_agent, schedule, plan, costs=costs, instruments=instruments)
+
+    return clock.run(main(), clock_name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from math import ceil
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class _DiscreteAxis:
             self.count = spec.count
         except SpecError as error:
             raise SpecError(f"signal {name!r}: {error}") from None
-        self._low = int(spec.low)
+        self._low = ceil(spec.low)
 
     def place(self, value: float) -> int:
         index = int(value) - self._low
