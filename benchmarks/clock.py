@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from statistics import median
+from typing import Any
 
 import numpy as np
 from _harness import Row, main
+from numpy.random import Generator
 
 from rtagent import Agent, Limits, Plan, Result, Schedule, clock, ms, run, second
 from rtagent.features import Tabular
@@ -60,9 +62,9 @@ async def callbacks() -> None:
     await finished
 
 
-def events_a_second(main: Callable[[], object]) -> float:
+def events_a_second(events: Callable[[], Coroutine[Any, Any, None]]) -> float:
     start = time.perf_counter()
-    clock.run(main(), "virtual")  # type: ignore[arg-type]  # both are coroutine functions
+    clock.run(events(), "virtual")
     return TIMERS * FIRINGS / (time.perf_counter() - start)
 
 
@@ -84,15 +86,11 @@ def stopping(preset: str) -> tuple[Result, float]:
     schedule = Schedule.preset(preset, learn_delay=LEARN_DELAY)
     plan = Plan(TRIALS, EPISODES, limits=Limits(episode_time=10 * second))
 
+    def new_agent(rng: Generator) -> Agent:
+        return Agent(features, Sarsa(size=features.size, actions=2), Greedy(), rng)
+
     async def trials() -> Result:
-        devices = {"joint": stopping_joint()}
-        return await run(
-            devices,
-            task,
-            lambda rng: Agent(features, Sarsa(size=features.size, actions=2), Greedy(), rng),
-            schedule,
-            plan,
-        )
+        return await run({"joint": stopping_joint()}, task, new_agent, schedule, plan)
 
     start = time.perf_counter()
     result = clock.run(trials(), "virtual")
@@ -106,24 +104,25 @@ def reactions_over_delay(result: Result) -> list[float]:
 
 
 def stopping_rows() -> Iterator[Row]:
-    name = f"stopping task, {TRIALS} × {EPISODES} episodes, D = {LEARN_DELAY / ms:.0f} ms"
     for preset, earliest in (("reactive", 0.0), ("standard", 1.0)):
         result, wall = stopping(preset)
         reactions = reactions_over_delay(result)
         middle, expected = median(reactions), earliest + 0.5
-        yield Row(f"{name}, {preset}, wall time", wall, "s", 10.0)
-        yield Row(f"  reaction median over D ({expected} expected)", middle, "")
-        yield Row("  its distance from what is expected", abs(middle - expected), "", 0.1)
-        yield from uniformity_rows(reactions, earliest)
+        name = f"stopping, {preset}"
+        yield Row(f"{name}: wall time of {TRIALS} × {EPISODES} episodes", wall, "s", 10.0)
+        yield Row(f"{name}: reaction median", middle, "D")
+        yield Row(f"{name}: reaction median, distance from {expected} D", abs(middle - expected), "D", 0.1)
+        yield from uniformity_rows(name, reactions, earliest)
 
 
-def uniformity_rows(reactions: list[float], earliest: float) -> Iterator[Row]:
+def uniformity_rows(name: str, reactions: list[float], earliest: float) -> Iterator[Row]:
     try:
         from scipy import stats
     except ImportError:
         return
     p_value = stats.kstest(reactions, "uniform", args=(earliest, 1.0)).pvalue
-    yield Row(f"  p of uniform from {earliest} to {earliest + 1} (Kolmogorov-Smirnov)", p_value, "", 0.01, "higher")
+    range_ = f"{earliest:g} to {earliest + 1:g} D"
+    yield Row(f"{name}: Kolmogorov-Smirnov p, uniform from {range_}", p_value, "", 0.01, "higher")
 
 
 # Sleeps in real time
@@ -139,21 +138,35 @@ async def lateness(duration: float) -> list[float]:
     return late
 
 
+def kernel_lateness(duration: float) -> list[float]:
+    """Return the same for sleeps without an event loop: what the machine itself adds."""
+    late = []
+    for _ in range(SLEEPS_A_ROUND):
+        start = time.perf_counter_ns()
+        time.sleep(duration / 1e3)
+        late.append((time.perf_counter_ns() - start) / ms - duration)
+    return late
+
+
+def sleep_rounds(duration: float, plain_thread: ThreadPoolExecutor) -> dict[str, list[float]]:
+    late: dict[str, list[float]] = {"real clock": [], "plain asyncio": [], "time.sleep": []}
+    for _ in range(ROUNDS):
+        late["real clock"] += clock.run(lateness(duration), "real")
+        late["plain asyncio"] += plain_thread.submit(asyncio.run, lateness(duration)).result()
+        late["time.sleep"] += kernel_lateness(duration)
+    return late
+
+
 def sleep_rows() -> Iterator[Row]:
     # Plain asyncio has a thread of its own, made before the real clock asks for finer timers in this one.
     with ThreadPoolExecutor(1) as plain_thread:
         plain_thread.submit(asyncio.run, lateness(0.0)).result()
         for duration in SLEEPS_MS:
-            real: list[float] = []
-            plain: list[float] = []
-            for _ in range(ROUNDS):
-                real += clock.run(lateness(duration), "real")
-                plain += plain_thread.submit(asyncio.run, lateness(duration)).result()
-            name = f"lateness of a sleep of {duration:g} ms"
-            yield Row(f"{name}, real clock, p50", float(np.quantile(real, 0.5)), "ms", 0.2)
-            yield Row(f"{name}, real clock, p99", float(np.quantile(real, 0.99)), "ms")
-            yield Row(f"{name}, plain asyncio, p50", float(np.quantile(plain, 0.5)), "ms")
-            yield Row(f"{name}, plain asyncio, p99", float(np.quantile(plain, 0.99)), "ms")
+            for kind, late in sleep_rounds(duration, plain_thread).items():
+                p50, p99 = np.quantile(late, (0.5, 0.99))
+                name = f"sleep of {duration:g} ms, {kind}: lateness"
+                yield Row(f"{name} p50", float(p50), "ms", 0.2 if kind == "real clock" else None)
+                yield Row(f"{name} p99", float(p99), "ms")
 
 
 def rows() -> Iterator[Row]:

@@ -63,6 +63,11 @@ class Agent:
         return self.chosen is not None and self.chosen is not self._in_force
 
     @property
+    def step_is_open(self) -> bool:
+        """Whether the next observation will close a transition."""
+        return self._acted if self.policy is not None else self._features is not None
+
+    @property
     def awaits_next_action(self) -> bool:
         """Whether the newest transition is complete only with the next choice."""
         return self._incomplete is not None
@@ -98,16 +103,26 @@ class Agent:
         action, probability = self.policy.choose(values, self.rng)
         self.chosen = Decision(self._features, self._observed_at, action, probability)
         self._fresh = False
-        if self._incomplete is not None:
-            self._incomplete.next_action = action
-            self._enqueue(self._incomplete)
-            self._incomplete = None
+        self._complete(action)
         return self.chosen
 
+    def _complete(self, next_action: int | None) -> None:
+        if self._incomplete is not None:
+            self._incomplete.next_action = next_action
+            self._enqueue(self._incomplete)
+            self._incomplete = None
+
     def acted(self) -> None:
-        """Note that the chosen action was handed to the devices."""
+        """Note that the chosen action was handed to the devices; without a new choice it is taken again."""
+        if self.chosen is not None and self.chosen is self._in_force and self._fresh:
+            self._repeat(self.chosen)
         self._in_force = self.chosen
         self._acted = True
+
+    def _repeat(self, decision: Decision) -> None:
+        features = cast("FeatureVector", self._features)
+        self.chosen = decision._replace(features=features, observed_at=self._observed_at)
+        self._complete(decision.action)
 
     def learn(self) -> tuple[Transition, float]:
         """Learn the oldest transition of the queue; return it with its delta. The queue must not be empty."""

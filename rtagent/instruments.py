@@ -56,6 +56,7 @@ class Hooks:
     """Calls every instrument that has a hook; one that raises is removed."""
 
     def __init__(self, instruments: Iterable[object]) -> None:
+        instruments = list(instruments)
         self._calls: dict[str, list[Callable[..., None]]] = {
             name: [hook for instrument in instruments if (hook := _own_hook(instrument, name)) is not None]
             for name in HOOKS
@@ -65,11 +66,14 @@ class Hooks:
         self._noted: list[tuple[str, tuple[Any, ...]]] = []
 
     def note(self, name: str, *args: Any) -> None:
-        """Keep a call for later."""
-        self._noted.append((name, args))
+        """Keep a call for later, if any instrument wants it."""
+        if self._calls[name]:
+            self._noted.append((name, args))
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
+        if not self._noted:
+            return
         noted, self._noted = self._noted, []
         for name, args in noted:
             self.call(name, *args)

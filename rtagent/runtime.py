@@ -156,12 +156,8 @@ class Runtime:
         self._observed_at = now
         if self._idling:
             self._idling.begin(now)
-        self._pacer = self._make_pacer(now)
+        self._pacer: Pacer | None = None
         self._hooks.call("episode_began", trial, episode, now)
-
-    def _make_pacer(self, now: int) -> Pacer | None:
-        period = self._schedule.period
-        return Pacer(period, self._schedule.overrun, now - period) if period else None
 
     async def _end(self) -> None:
         """Learn what is left; a truncated episode still wants SARSA's A', which is chosen and not acted on."""
@@ -182,6 +178,8 @@ class Runtime:
     async def _next_cycle(self) -> None:
         if self._pacer is not None:
             await self._clock.sleep_until(self._pacer.next(self._now()))
+        elif self._schedule.period:
+            self._pacer = Pacer(self._schedule.period, self._schedule.overrun, self._now())
         else:
             await yield_once()
         if self._idling is not None:
@@ -274,6 +272,6 @@ class Runtime:
     def _limited(self, outcome: Outcome, now: int) -> Outcome:
         if outcome.terminated or outcome.truncated:
             return outcome
-        if self._limits.reached(now - self._episode.began, self._episode.steps + 1):
+        if self._limits.reached(now - self._episode.began, self._episode.steps + self._agent.step_is_open):
             return outcome._replace(truncated=True)
         return outcome

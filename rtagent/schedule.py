@@ -172,7 +172,7 @@ def rules(needs_next_action: bool) -> tuple[Rule, ...]:
     closes = frozenset({Fact.COMPLETE} if needs_next_action else ())
     f = frozenset
     return (
-        Rule(ACT, needs=f({Fact.CHOSEN}), gives=f({Fact.ACTED})),
+        Rule(ACT, needs=f({Fact.CHOSEN}), gives=f({Fact.ACTED, Fact.COMPLETE})),
         Rule(OBSERVE, gives=f({Fact.FRESH}), takes=closes, only_if=f({Fact.ACTED})),
         Rule(OBSERVE, gives=f({Fact.FRESH}), takes=f({Fact.ACTED})),
         Rule(CHOOSE, needs=f({Fact.FRESH}), takes=f({Fact.FRESH}), gives=f({Fact.CHOSEN, Fact.COMPLETE})),
@@ -190,17 +190,17 @@ REFUSALS: dict[tuple[Component, Fact], str] = {
 }
 
 START = frozenset({Fact.COMPLETE})
-PROLOGUES: tuple[Order, ...] = ((), (OBSERVE,), (OBSERVE, CHOOSE))
+PROLOGUES: tuple[Order, ...] = ((), (OBSERVE,), (OBSERVE, CHOOSE), (OBSERVE, CHOOSE, OBSERVE))
 
 
 def prologue(order: Sequence[str], needs_next_action: bool = False) -> Order:
     """Return what must run once before the first cycle of an episode; raise `ScheduleError`.
 
-    It is the shortest of nothing, observe, and observe with choose, after which every component of the order
-    finds what it needs, in the first cycle and in all that follow.
+    It is the shortest of nothing, observe, observe and choose, and observe, choose and observe, after which
+    every component of the order finds what it needs, in the first cycle and in all that follow.
     """
     parsed = parse_order(order)
-    _check_members(parsed)
+    _check_members(parsed, needs_next_action)
     table = rules(needs_next_action)
     refusal = ""
     for candidate in PROLOGUES:
@@ -212,12 +212,17 @@ def prologue(order: Sequence[str], needs_next_action: bool = False) -> Order:
     raise ScheduleError(f"the order {', '.join(parsed)} cannot work: {refusal}.")
 
 
-def _check_members(order: Order) -> None:
+def _check_members(order: Order, needs_next_action: bool) -> None:
     if OBSERVE not in order:
         raise ScheduleError("the order has no observe: an agent that never looks learns and chooses nothing.")
     if (ACT in order) != (CHOOSE in order):
         missing, there = (ACT, CHOOSE) if CHOOSE in order else (CHOOSE, ACT)
         raise ScheduleError(f"the order has {there} but no {missing}: add it, or leave out both to predict only.")
+
+    if needs_next_action and LEARN in order and CHOOSE not in order:
+        raise ScheduleError(
+            "this learner learns from the next action (as SARSA does), but the order never chooses."
+        )
 
 
 def _walk(order: Order, table: Sequence[Rule]) -> str:

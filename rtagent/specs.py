@@ -86,8 +86,8 @@ class Spec:
 
     def generate(self, rng: Generator) -> Value:
         """Draw a value that fits, uniformly over the range, or over a wide part of one that has no end."""
-        low = self.low if math.isfinite(self.low) else min(self.high, WIDE) - 2 * WIDE
-        high = self.high if math.isfinite(self.high) else low + 2 * WIDE
+        low = 0.0 + (self.low if math.isfinite(self.low) else min(self.high, WIDE) - 2 * WIDE)
+        high = 0.0 + (self.high if math.isfinite(self.high) else low + 2 * WIDE)
         drawn: np.ndarray = np.asarray(
             rng.uniform(low, high, self.shape)
             if self.dtype == "float"

@@ -335,12 +335,12 @@ class SupervisedDevice:
             for name, low, high in self._ranges:
                 if not low <= values[name] <= high:  # NaN fails too
                     return False
-            for name, spec in self._others:
-                if spec.problem(values[name]) is not None:
-                    return False
-            return True
+            return not self._others or self._others_valid(values)
         except (KeyError, TypeError, ValueError):
             return False
+
+    def _others_valid(self, values: Values) -> bool:
+        return all(spec.problem(values[name]) is None for name, spec in self._others)
 
     def _why_invalid(self, values: Values) -> str:
         for name, spec in self.device.spec.sensors.items():

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from rtagent import Agent, Limits, Plan, Result, Schedule, clock, run, second
 from rtagent.costs import Costs
@@ -53,6 +54,28 @@ def step(
     """Return a transition between two states that have one feature each."""
     before, after = one_hot(state), one_hot(following)
     return Transition(before, action, 1.0, reward, after, next_action, 0, terminated, truncated)
+
+
+class Scripted(Generator):
+    """A generator for streams of samples: what each gets is planned, one jitter and four chances."""
+
+    def __init__(self, jitters: Sequence[int], chances: Sequence[Sequence[float]] | NDArray[np.float64]) -> None:
+        super().__init__(np.random.PCG64(0))
+        self._jitters, self._chances = list(jitters), np.asarray(chances)
+        self._jitters_given = self._chances_given = 0
+
+    def integers(self, low: int, high: int, size: int, **settings: object) -> NDArray[Any]:  # type: ignore[override]
+        self._jitters_given += size
+        assert self._jitters_given <= len(self._jitters), "more samples were drawn than there is any need for"
+        return np.array(self._jitters[self._jitters_given - size : self._jitters_given])
+
+    def random(self, size: tuple[int, int]) -> NDArray[Any]:  # type: ignore[override]
+        self._chances_given += size[0]
+        assert self._chances_given <= len(self._chances), "more samples were drawn than there is any need for"
+        return self._chances[self._chances_given - size[0] : self._chances_given]
+
+    def spawn(self, count: int) -> list[Generator]:  # type: ignore[override]
+        return [self] * count
 
 
 class RampWorld:

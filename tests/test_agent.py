@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import count, product
+from itertools import count, pairwise, product
 
 import numpy as np
 import pytest
@@ -62,7 +62,13 @@ def agent_of(needs_next_action: bool = False, policy: Counted | None = None) -> 
 
 
 def see(
-    agent: Agent, place: int, reward: float = 0.0, *, time: int = 0, terminated: bool = False, truncated: bool = False
+    agent: Agent,
+    place: int,
+    reward: float = 0.0,
+    *,
+    time: int = 0,
+    terminated: bool = False,
+    truncated: bool = False,
 ) -> Transition | None:
     return agent.observe(Outcome((float(place),), reward, terminated, truncated), time)
 
@@ -163,7 +169,9 @@ def test_a_truncated_transition_waits_for_its_next_action_where_that_is_needed()
 
 
 @pytest.mark.parametrize("needs_next_action", [False, True])
-def test_an_end_that_comes_before_the_next_act_is_learned_under_the_action_in_force(needs_next_action: bool) -> None:
+def test_an_end_that_comes_before_the_next_act_is_learned_under_the_action_in_force(
+    needs_next_action: bool,
+) -> None:
     agent = agent_of(needs_next_action)
     see(agent, 10, time=0)
     agent.choose()
@@ -233,7 +241,7 @@ def test_features_are_computed_once_for_each_observation() -> None:
         agent.acted()
     assert isinstance(agent.features, Places)
     assert agent.features.asked == 5
-    assert all(first.next_features is second.features for first, second in zip(agent.queue, list(agent.queue)[1:]))  # noqa: B905, RUF007  # the last has no successor
+    assert all(first.next_features is second.features for first, second in pairwise(agent.queue))
 
 
 def test_choosing_twice_from_one_observation_is_refused() -> None:
@@ -356,7 +364,7 @@ def test_no_legal_order_loses_a_transition_or_a_reward(needs_next_action: bool) 
 def test_each_transition_begins_where_the_last_ended(order: Order, needs_next_action: bool) -> None:
     learned, _, _ = follow(order, needs_next_action)
     assert len(learned) >= 7
-    for first, second in zip(learned, learned[1:], strict=False):
+    for first, second in pairwise(learned):
         assert first.next_features is second.features
         assert second.elapsed > 0
         assert not needs_next_action or first.next_action == second.action
@@ -365,5 +373,6 @@ def test_each_transition_begins_where_the_last_ended(order: Order, needs_next_ac
 
 
 def test_learning_is_no_part_of_what_is_experienced() -> None:
-    experienced = [follow(order, True)[0] for order in (REACTIVE, tuple(c for c in REACTIVE if c is not LEARN))]
-    assert [[summary(each) for each in run] for run in experienced][0] == [summary(each) for each in experienced[1]]
+    frozen = tuple(component for component in REACTIVE if component is not LEARN)
+    learning, frozen_one = ([summary(each) for each in follow(order, True)[0]] for order in (REACTIVE, frozen))
+    assert learning == frozen_one

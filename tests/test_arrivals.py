@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from helpers import Scripted
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.random import Generator
 
 from rtagent_drivers.arrivals import FIRST_BLOCK, Arrival, Arrivals, Disturbance
 
@@ -43,23 +43,11 @@ class Plan:
         return min(sample.arrival for sample in self.sent if sample.arrival > now)
 
 
-class Scripted(Generator):
-    """A generator that gives, sample by sample, what was planned: one jitter, and four chances."""
-
-    def __init__(self, jitters: list[int], chances: np.ndarray) -> None:
-        super().__init__(np.random.PCG64(0))
-        self._jitters, self._chances = iter(jitters), iter(chances)
-
-    def integers(self, low: int, high: int, size: int, **settings: object) -> np.ndarray:  # type: ignore[override]
-        return np.array([next(self._jitters) for _ in range(size)])
-
-    def random(self, size: tuple[int, int]) -> np.ndarray:  # type: ignore[override]
-        return np.array([next(self._chances) for _ in range(size[0])])
-
-
 PROBABILITY = st.sampled_from([0.0, 0.1, 0.5])
 MOMENTS = st.lists(
-    st.one_of(st.floats(-2, 2.2 * FIRST_BLOCK), st.integers(FIRST_BLOCK - 20, FIRST_BLOCK + 3)), min_size=1, max_size=6
+    st.one_of(st.floats(-2, 2.2 * FIRST_BLOCK), st.integers(FIRST_BLOCK - 20, FIRST_BLOCK + 3)),
+    min_size=1,
+    max_size=6,
 )
 
 

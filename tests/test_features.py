@@ -99,7 +99,7 @@ def test_a_value_between_two_whole_ones_is_refused_by_a_table(kind: type[Tabular
 
 @pytest.mark.parametrize("coder", CODERS, ids=lambda coder: type(coder).__name__)
 def test_a_state_of_another_length_is_refused(coder: FeatureCoder) -> None:
-    with pytest.raises(ValueError, match="shorter|longer"):
+    with pytest.raises(ValueError, match=r"shorter|longer"):
         coder.encode((0, False))
 
 

@@ -141,7 +141,7 @@ def test_a_truncated_transition_bootstraps_and_a_terminated_one_does_not() -> No
 
 def test_only_sarsa_needs_the_next_action() -> None:
     assert Sarsa.needs_next_action
-    assert not (TD.needs_next_action or QLearning.needs_next_action or ExpectedSarsa.needs_next_action)
+    assert not any(learner.needs_next_action for learner in (TD, QLearning, ExpectedSarsa))
 
 
 @pytest.mark.parametrize("initial", [0, 1, -2])

@@ -167,7 +167,7 @@ def test_a_learner_that_needs_the_next_action_cannot_only_predict() -> None:
 
 
 def test_an_unknown_component_is_refused_with_the_names_that_there_are() -> None:
-    with pytest.raises(ScheduleError, match="'plan'.*act, observe, choose and learn"):
+    with pytest.raises(ScheduleError, match=r"'plan'.*act, observe, choose and learn"):
         parse_order(["observe", "plan"])
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from rtagent.errors import SpecError
@@ -31,7 +31,10 @@ def specs(draw: st.DrawFn) -> Spec:
 
 
 @given(specs(), st.integers(0, 2**32))
-@settings(max_examples=300, deadline=None)
+@example(Spec(low=0.0, high=-0.0), 0)
+@example(Spec(low=2e6), 0)
+@example(Spec(dtype="int", high=-2e6), 0)
+@settings(max_examples=200, deadline=None)
 def test_what_a_spec_generates_fits_it(spec: Spec, seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(5):
@@ -87,9 +90,14 @@ def test_an_empty_range_is_refused() -> None:
         Spec(low=math.nan)
 
 
-def test_a_flag_with_a_shape_is_refused() -> None:
-    with pytest.raises(SpecError):
-        Spec(dtype="bool", shape=(2,))
+def test_an_array_of_flags_holds_nothing_but_true_and_false() -> None:
+    spec = Spec(dtype="bool", shape=(2,))
+    assert spec.problem(np.array([True, False])) is None
+    assert spec.problem(np.array([0, 2]))
+    assert {bool(each) for _ in range(20) for each in np.ravel(spec.generate(np.random.default_rng(0)))} <= {
+        True,
+        False,
+    }
 
 
 def test_a_flag_with_a_range_of_its_own_is_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import contextvars
 import logging
 import os
@@ -252,12 +253,15 @@ def test_a_task_group_cancels_the_others_when_one_fails() -> None:
         await asyncio.sleep(0.1)
         raise ValueError("broken")
 
+    async def both() -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(fail())
+            group.create_task(asyncio.sleep(1000))
+
     async def main() -> int:
         began = now()
         with pytest.raises(ExceptionGroup):
-            async with asyncio.TaskGroup() as group:
-                group.create_task(fail())
-                group.create_task(asyncio.sleep(1000))
+            await both()
         return now() - began
 
     assert virtually(main()) == 100 * ms
@@ -419,7 +423,9 @@ async def _signal() -> None:
 @pytest.mark.parametrize(
     "attempt", [_open_connection, _serve, _subprocess, _shell, _reader, _socket, _name, _signal]
 )
-def test_what_needs_the_real_world_is_refused_with_a_sentence(attempt: Callable[[], Coroutine[Any, Any, None]]) -> None:
+def test_what_needs_the_real_world_is_refused_with_a_sentence(
+    attempt: Callable[[], Coroutine[Any, Any, None]],
+) -> None:
     with pytest.raises(ClockError, match=r"needs the real world.*--clock real.*\.$"):
         virtually(attempt())
 
@@ -504,10 +510,11 @@ def test_what_main_raises_is_raised_and_the_rest_is_cancelled() -> None:
             notes.append("cancelled")
 
     async def main() -> None:
-        _task = asyncio.create_task(background())
+        tasks.append(asyncio.create_task(background()))
         await asyncio.sleep(0.1)
         raise ValueError("broken")
 
+    tasks: list[asyncio.Task[None]] = []
     with pytest.raises(ValueError, match="broken"):
         virtually(main())
     assert notes == ["cancelled"]
@@ -516,17 +523,16 @@ def test_what_main_raises_is_raised_and_the_rest_is_cancelled() -> None:
 def test_a_task_that_will_not_end_does_not_hang_a_run() -> None:
     async def stubborn() -> None:
         while True:
-            try:
+            with contextlib.suppress(asyncio.CancelledError):
                 await asyncio.sleep(1000)
-            except asyncio.CancelledError:
-                pass
 
     async def main() -> str:
         asyncio.get_running_loop().set_exception_handler(lambda *_: None)
-        _task = asyncio.create_task(stubborn())
+        tasks.append(asyncio.create_task(stubborn()))
         await asyncio.sleep(0.1)
         return "done"
 
+    tasks: list[asyncio.Task[None]] = []
     assert virtually(main()) == "done"
 
 

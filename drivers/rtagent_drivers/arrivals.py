@@ -5,9 +5,9 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import NamedTuple
 
-import numpy as np
 from numpy.random import Generator
 
 FIRST_BLOCK = 1024
@@ -50,6 +50,7 @@ class Arrivals:
         self._known: list[Arrival] = []
         self._times: list[int] = []
         self._newest: list[int] = []
+        self._lost: list[int] = []
         self._drawn = 0
         self._extend(FIRST_BLOCK)
 
@@ -59,51 +60,59 @@ class Arrivals:
         return self._known[self._newest[place - 1]] if place else None
 
     def next_arrival(self, now: int) -> int:
-        """Return when the next sample arrives after `now`."""
+        """Return when the next sample arrives after `now`, or when to look again where none is known to."""
         place = self._place(now)
-        while place == len(self._times):
+        if place == len(self._times) or self._times[place] >= self._horizon():
             self._extend(self._drawn)
             place = self._place(now)
-        return self._times[place]
+        return self._times[place] if place < len(self._times) else self._horizon()
 
     def counters(self, now: int) -> Mapping[str, int]:
         """Return what happened to the samples that were to arrive until `now`."""
         arrived = [arrival.sequence for arrival in self._known[: self._place(now)]]
-        highest = np.maximum.accumulate(arrived) if arrived else np.zeros(0, int)
-        overtaken = int(np.sum(np.asarray(arrived, int) < highest))
-        different = len(set(arrived))
+        overtaken = sum(number < highest for number, highest in zip(arrived, accumulate(arrived, max), strict=True))
         return {
-            "samples_lost": (int(highest[-1]) + 1 - different) if arrived else 0,
-            "samples_doubled": len(arrived) - different,
+            "samples_lost": sum(arrival <= now for arrival in self._lost),
+            "samples_doubled": len(arrived) - len(set(arrived)),
             "samples_overtaken": overtaken,
         }
 
     def _place(self, now: int) -> int:
         """Return how many samples have arrived, drawing more where the drawn ones do not reach `now`."""
-        while self._start + self._drawn * self._period <= now:
+        while self._horizon() <= now:
             self._extend(self._drawn)
         return bisect_right(self._times, now)
 
+    def _horizon(self) -> int:
+        """Return the earliest moment at which a sample that was not drawn yet could arrive."""
+        return self._taken(self._drawn) + self._delay
+
+    def _taken(self, number: int) -> int:
+        return self._start + round(number * self._period)
+
     def _extend(self, count: int) -> None:
         numbers = range(self._drawn, self._drawn + count)
-        taken = [self._start + round(number * self._period) for number in numbers]
-        late = self._rng.integers(0, self._jitter, count, endpoint=True) + self._delay
+        late = self._rng.integers(0, self._jitter, count, endpoint=True).tolist()
+        sent = [
+            Arrival(number, taken := self._taken(number), taken + self._delay + jitter, corrupt=False)
+            for number, jitter in zip(numbers, late, strict=True)
+        ]
         self._drawn += count
-        self._known += self._disturbed(numbers, taken, [a + int(b) for a, b in zip(taken, late, strict=True)])
+        self._known += self._disturbed(sent)
         self._known.sort(key=lambda arrival: (arrival.arrival, arrival.sequence))
         self._times = [arrival.arrival for arrival in self._known]
         self._newest = _newest_places(self._known)
 
-    def _disturbed(self, numbers: range, taken: list[int], arrives: list[int]) -> list[Arrival]:
-        plain = [Arrival(*each, corrupt=False) for each in zip(numbers, taken, arrives, strict=True)]
+    def _disturbed(self, sent: list[Arrival]) -> list[Arrival]:
         if self._disturbance is None:
-            return plain
-        chances = self._rng.random((len(plain), 4))
-        return [
-            disturbed
-            for arrival, chance in zip(plain, chances, strict=True)
-            for disturbed in _disturb(arrival, self._disturbance, chance.tolist())
-        ]
+            return sent
+        arrivals = []
+        for arrival, chance in zip(sent, self._rng.random((len(sent), 4)).tolist(), strict=True):
+            disturbed = _disturb(arrival, self._disturbance, chance)
+            arrivals += disturbed
+            if not disturbed:
+                self._lost.append(arrival.arrival)
+        return arrivals
 
 
 def _disturb(arrival: Arrival, disturbance: Disturbance, chance: list[float]) -> list[Arrival]:

@@ -93,6 +93,8 @@ class Faults:
         for name in ("drop", "duplicate", "corrupt", "late"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise SpecError(f"faults.{name} is {getattr(self, name)}: give a probability from 0 to 1.")
+        if self.lateness < 0:
+            raise SpecError("faults.lateness is negative: give 0 or more.")
         if any(len(window) not in (1, 2) for window in self.disconnect):
             raise SpecError("faults.disconnect holds windows [from, to], or [from] for ever.")
 
@@ -115,6 +117,7 @@ class FakeDevice:
         self._troubles = bool(self._faults.raise_at or self._faults.hang_at or self._faults.disconnect)
         self._due = {"raise": sorted(self._faults.raise_at), "hang": sorted(self._faults.hang_at)}
         self._first_opened: int | None = None
+        self._opened_at = 0
         self._opened = False
         self._arrivals: Arrivals | None = None
         self._reads = 0
@@ -127,11 +130,13 @@ class FakeDevice:
         if self._first_opened is None:
             self._first_opened = self._began = self._now()
             self._begin_world(self._first_opened, None)
-        self._check_plugged(self._now() - self._first_opened)
+        self._opened_at = self._now() - self._first_opened
+        self._check_plugged(self._opened_at)
         self._opened = True
 
     async def begin_episode(self, rng: Generator) -> None:
         """Put the world at its start, now."""
+        await self._meet_troubles()
         self._begin_world(self._now(), rng)
 
     async def read(self, newer_than: int) -> Sample:
@@ -142,6 +147,7 @@ class FakeDevice:
         newest = self._arrivals.newest(self._now())
         while newest is None or newest.sequence <= newer_than:
             await self._clock.sleep_until(self._arrivals.next_arrival(self._now()))
+            await self._meet_troubles()
             newest = self._arrivals.newest(self._now())
         values = self.world.values(newest.taken)
         if newest.corrupt:
@@ -229,7 +235,8 @@ class FakeDevice:
 
     def _check_plugged(self, age: int) -> None:
         for window in self._faults.disconnect:
-            if age >= window[0] and (len(window) == 1 or age < window[1]):
+            gone = age >= window[0] and (len(window) == 1 or age < window[1])
+            if gone or self._opened_at < window[0] <= age:
                 self._opened = False
                 raise DisconnectedError("the device is unplugged")
 

@@ -126,13 +126,14 @@ class HallwayWorld:
 
     def next_change(self, now: int) -> int | None:
         """Return when the agent passes the end of the wall, or its present motion ends."""
-        ends = [leg.end for leg in self._legs if leg.end is not None]
-        return min((time for time in self._openings + ends if time > now), default=None)
+        end = self._leg(now).end
+        ahead = self._openings if end is None else [*self._openings, end]
+        return min((time for time in ahead if time > now), default=None)
 
     def make_safe(self, now: int) -> None:
         """Stop the agent where it is."""
-        self._cut(now)
-        self._legs.append(_Leg(now, None, *self._place(now), None))
+        if self._arrival is None or now < self._arrival:
+            self._cut(now)
 
     def _leg(self, time: int) -> _Leg:
         return self._legs[max(0, bisect_right(self._legs, time, key=lambda leg: leg.begin) - 1)]

@@ -81,9 +81,8 @@ class StoppingWorld:
 
     def next_change(self, now: int) -> int | None:
         """Return the onset, or the end of the range, whichever is next."""
-        if self._stopped is not None:
-            return None
-        return min((time for time in (self._onset, self._end) if time > now), default=None)
+        times = (self._onset, self._end) if self._stopped is None else (self._onset,)
+        return min((time for time in times if time > now), default=None)
 
     def make_safe(self, now: int) -> None:
         """Stop the joint, whatever the state."""

@@ -11,6 +11,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 from rtagent.clock.real import RealClock, real_loop
 from rtagent.clock.virtual import START, VirtualClock, VirtualLoop, virtual_loop
+from rtagent.errors import ClockError
 
 __all__ = ["Clock", "ClockName", "RealClock", "VirtualClock", "VirtualLoop", "current", "real_loop", "run"]
 
@@ -37,7 +38,7 @@ class Clock(Protocol):
 def current() -> Clock:
     """Return the clock of the running event loop (any asyncio loop will do)."""
     loop = asyncio.get_running_loop()
-    return VirtualClock(loop) if isinstance(loop, VirtualLoop) else RealClock()
+    return loop.clock if isinstance(loop, VirtualLoop) else RealClock()
 
 
 def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | None = None) -> T:
@@ -46,6 +47,9 @@ def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | No
     A virtual clock starts at `start` (ns): by default far from zero and from the machine's own clock, so that
     code that reads the wrong one is found out.
     """
+    if asyncio._get_running_loop() is not None:
+        main.close()
+        raise ClockError("an event loop is running already: write `await run(...)` there, without clock.run.")
     loop = real_loop() if clock == "real" else virtual_loop(START if start is None else start)
     try:
         return loop.run_until_complete(main)

@@ -10,6 +10,7 @@ import selectors
 import sys
 import time
 from collections.abc import Callable
+from math import ceil
 
 CLOCK_MONOTONIC = 1
 TFD_NONBLOCK_CLOEXEC = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
@@ -58,7 +59,6 @@ else:
 
 class TimerfdSelector(_Selector):
     """Epoll whose time-outs are kept by a timerfd, which counts nanoseconds where epoll counts milliseconds.
-
     Raises OSError or AttributeError where the system has no timerfd.
     """
 
@@ -87,7 +87,7 @@ class TimerfdSelector(_Selector):
         os.close(self._timer)
 
     def _arm(self, timeout: float) -> None:
-        nanoseconds = int(timeout * 1e9)
+        nanoseconds = ceil(timeout * 1e9)
         self._setting.first_s, self._setting.first_ns = divmod(nanoseconds, 1_000_000_000)
         self._libc.timerfd_settime(self._timer, 0, ctypes.byref(self._setting), None)
         self._armed = nanoseconds > 0

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import sys
 from collections import deque
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from contextvars import Context
 from typing import Any, NoReturn, TypeVar, TypeVarTuple
+from weakref import WeakSet
 
 from rtagent.errors import ClockError, RunStuckError
 
@@ -34,7 +36,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._debug = False
         self._task_factory: Any = None
         self._exception_handler: Any = None
-        self._generators: set[Any] = set()
+        self._generators: WeakSet[AsyncGenerator[Any, Any]] = WeakSet()
+        self.clock = VirtualClock(self)
 
     # Time
 
@@ -132,14 +135,24 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._check_closed()
         if self._running:
             raise RuntimeError("this event loop is already running")
+        if asyncio._get_running_loop() is not None:
+            raise RuntimeError("another event loop is running in this thread")
         self._running = True
-        asyncio.events._set_running_loop(self)
+        hooks = sys.get_asyncgen_hooks()
+        sys.set_asyncgen_hooks(firstiter=self._generators.add, finalizer=self._abandoned)
+        asyncio._set_running_loop(self)
         try:
             while not self._stopping:
                 self._run_once()
         finally:
             self._running = self._stopping = False
-            asyncio.events._set_running_loop(None)
+            asyncio._set_running_loop(None)
+            sys.set_asyncgen_hooks(*hooks)
+
+    def _abandoned(self, generator: AsyncGenerator[Any, Any]) -> None:
+        self._generators.discard(generator)
+        if not self._closed:
+            self.create_task(generator.aclose())
 
     def run_until_complete(self, future: Any) -> Any:
         """Run until `future` is done and return its result."""
@@ -155,8 +168,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self.stop()
 
     def _run_once(self) -> None:
-        ready = self._ready
-        if not ready:
+        ready, timers = self._ready, self._timers
+        if not ready or (timers and timers[0][0] <= self.now):
             self._fire_timers()
         for _ in range(len(ready)):
             handle = ready.popleft()
@@ -165,12 +178,15 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
     def _fire_timers(self) -> None:
         when = self.next_timer()
+        if when is None and self._ready:
+            return
         if when is None:
             raise RunStuckError(
                 "nothing is left to happen: every task waits for something that nothing will bring about. "
                 "Under the virtual clock wait for time to pass, or for an event of a fake device."
             )
-        self.now = max(self.now, when)
+        if not self._ready:
+            self.now = max(self.now, when)
         while self._timers and self._timers[0][0] <= self.now:
             self._ready.append(heapq.heappop(self._timers)[2])
 
@@ -197,7 +213,13 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             raise RuntimeError("the event loop is closed")
 
     async def shutdown_asyncgens(self) -> None:
-        """Do nothing: generators end with the tasks that run them."""
+        """Close the generators that were begun and not ended."""
+        left = list(self._generators)
+        self._generators.clear()
+        await asyncio.gather(*(generator.aclose() for generator in left), return_exceptions=True)
+
+    def set_default_executor(self, executor: object) -> None:
+        """Do nothing: what would be run in a thread is run at once."""
 
     async def shutdown_default_executor(self, timeout: float | None = None) -> None:  # noqa: ASYNC109  # asyncio names it so
         """Do nothing: there is no executor."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 
@@ -86,19 +86,20 @@ class _DiscreteAxis:
             self.count = spec.count
         except SpecError as error:
             raise SpecError(f"signal {name!r}: {error}") from None
-        self._low = ceil(spec.low)
+        self._low, self._high = ceil(spec.low), floor(spec.high)
 
     def place(self, value: float) -> int:
-        index = int(value) - self._low
-        if not 0 <= index < self.count:
-            raise SpecError(f"signal {self.name!r} is {value}, outside its {self.count} values.")
-        return index
+        if not self._low <= value <= self._high or value != int(value):  # NaN is refused by the first
+            raise SpecError(f"signal {self.name!r} is {value}: none of {self._low} to {self._high}.")
+        return int(value) - self._low
 
 
 class _BinnedAxis:
     def __init__(self, name: str, spec: Spec, bins: int | Mapping[str, int]) -> None:
         self.name = name
         self.count = _bins_of(name, bins)
+        if spec.shape:
+            raise SpecError(f"signal {name!r} is an array of shape {spec.shape}: only a single number has bins.")
         if not (math.isfinite(spec.low) and math.isfinite(spec.high)):
             raise SpecError(f"signal {name!r} has no finite range to cut into bins: declare low and high.")
         self._low, self._high = spec.low, spec.high

@@ -17,7 +17,7 @@ class ActionWeights:
     """Weights of shape (actions, size), and the action values that they give."""
 
     def __init__(self, actions: int, size: int, initial: float) -> None:
-        self.weights: FloatArray = np.full((actions, size), initial)
+        self.weights: FloatArray = np.full((actions, size), initial, dtype=np.float64)
 
     def values(self, features: FeatureVector) -> FloatArray:
         """Return the value of every action, shape (actions,)."""

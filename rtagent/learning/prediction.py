@@ -30,7 +30,7 @@ class TD:
         check_steps(alpha, gamma, lambda_)
         self.alpha, self.gamma, self.lambda_ = alpha, gamma, lambda_
         self._replacing = trace == "replacing"
-        self.weights: FloatArray = np.full(size, initial)
+        self.weights: FloatArray = np.full(size, initial, dtype=np.float64)
         self.trace: FloatArray = np.zeros(size)
 
     def predict(self, features: FeatureVector) -> float:
