@@ -114,15 +114,13 @@ class Agent:
 
     def acted(self) -> None:
         """Note that the chosen action was handed to the devices; without a new choice it is taken again."""
-        if self.chosen is not None and self.chosen is self._in_force and self._fresh:
-            self._repeat(self.chosen)
+        chosen = self.chosen
+        if chosen is not None and chosen is self._in_force and self._features is not None:
+            self.chosen = chosen._replace(features=self._features, observed_at=self._observed_at)
+        if self._incomplete is not None and chosen is not None:
+            self._complete(chosen.action)
         self._in_force = self.chosen
         self._acted = True
-
-    def _repeat(self, decision: Decision) -> None:
-        features = cast("FeatureVector", self._features)
-        self.chosen = decision._replace(features=features, observed_at=self._observed_at)
-        self._complete(decision.action)
 
     def learn(self) -> tuple[Transition, float]:
         """Learn the oldest transition of the queue; return it with its delta. The queue must not be empty."""

@@ -172,7 +172,7 @@ def rules(needs_next_action: bool) -> tuple[Rule, ...]:
     closes = frozenset({Fact.COMPLETE} if needs_next_action else ())
     f = frozenset
     return (
-        Rule(ACT, needs=f({Fact.CHOSEN}), gives=f({Fact.ACTED, Fact.COMPLETE})),
+        Rule(ACT, needs=f({Fact.CHOSEN}), gives=f({Fact.ACTED})),
         Rule(OBSERVE, gives=f({Fact.FRESH}), takes=closes, only_if=f({Fact.ACTED})),
         Rule(OBSERVE, gives=f({Fact.FRESH}), takes=f({Fact.ACTED})),
         Rule(CHOOSE, needs=f({Fact.FRESH}), takes=f({Fact.FRESH}), gives=f({Fact.CHOSEN, Fact.COMPLETE})),
@@ -190,6 +190,9 @@ REFUSALS: dict[tuple[Component, Fact], str] = {
 }
 
 START = frozenset({Fact.COMPLETE})
+CYCLES_TO_SETTLE = 3
+"""After so many cycles the same facts hold at the beginning of each."""
+
 PROLOGUES: tuple[Order, ...] = ((), (OBSERVE,), (OBSERVE, CHOOSE), (OBSERVE, CHOOSE, OBSERVE))
 
 
@@ -206,7 +209,7 @@ def prologue(order: Sequence[str], needs_next_action: bool = False) -> Order:
     for candidate in PROLOGUES:
         if CHOOSE in candidate and CHOOSE not in parsed:
             break
-        refusal = _walk(candidate + parsed * 2, table)
+        refusal = _walk(candidate + parsed * CYCLES_TO_SETTLE, table)
         if not refusal:
             return candidate
     raise ScheduleError(f"the order {', '.join(parsed)} cannot work: {refusal}.")

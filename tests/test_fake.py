@@ -325,7 +325,7 @@ def test_where_every_sample_is_dropped_none_comes_and_nothing_hangs() -> None:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(1.0):
                 await device.read(-1)
-        assert device.next_event(now()) is None
+        assert device.next_event(now()) > now(), "when to look again"
 
     virtually(main())
 

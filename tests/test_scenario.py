@@ -170,7 +170,7 @@ def test_any_key_can_be_set(tmp_path: Path) -> None:
         ),
         ('["observe", "choose", "learn"]', "the order has choose but no act"),
         ('["act", "choose", "learn"]', "the order has no observe"),
-        ('["observe", "learn"]', "the agent has a policy, but the order never chooses"),
+        ('["observe", "learn"]', "but the order never chooses"),
     ],
 )
 def test_an_order_that_cannot_work_is_refused(tmp_path: Path, order: str, sentence: str) -> None:

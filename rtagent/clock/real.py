@@ -59,6 +59,7 @@ else:
 
 class TimerfdSelector(_Selector):
     """Epoll whose time-outs are kept by a timerfd, which counts nanoseconds where epoll counts milliseconds.
+
     Raises OSError or AttributeError where the system has no timerfd.
     """
 
