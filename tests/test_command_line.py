@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from parts import ROOT, SCENARIOS
+
 from rtagent.__main__ import main
 
 STOPPING = str(SCENARIOS / "stopping.toml")

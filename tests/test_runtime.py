@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 from parts import run_stopping, sarsa_agent
+
 from rtagent import (
     Agent,
     Component,

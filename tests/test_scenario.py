@@ -10,6 +10,7 @@ import jsonschema
 import pytest
 import tomli_w
 from parts import SCENARIOS
+
 from rtagent import clock, ms, plugins
 from rtagent.errors import PluginError, ScenarioError
 from rtagent.policy import Greedy

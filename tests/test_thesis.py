@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 from parts import run_stopping
+from scipy import stats
+
 from rtagent import Result, ms
 from rtagent_drivers.stopping import stopping_joint
-from scipy import stats
 
 DELAYS = (50, 100, 250, 500)
 
