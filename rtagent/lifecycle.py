@@ -31,6 +31,9 @@ from rtagent.units import ms, second
 GIVE_UP_TIMEOUT = 1 * second
 """A run that was told to stop, and waits for something that does not yield, is left behind after this."""
 
+SUSPENSION = 100 * ms
+"""So long a suspension makes samples stale; it is looked for as often."""
+
 AgentMaker = Callable[[Generator], Agent]
 
 
@@ -154,8 +157,10 @@ class _Life:
 
     async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:
         """Wait for the work's own end, a signal, or a call that never returns."""
-        ends: set[asyncio.Future[Any]] = {work, signalled, self._guard.stuck}
+        suspended = asyncio.ensure_future(self._until_suspended())
+        ends: set[asyncio.Future[Any]] = {work, signalled, self._guard.stuck, suspended}
         await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        suspended.cancel()
         if work.done() and not work.cancelled():
             error = work.exception()
             source = "device" if isinstance(error, DeviceError) else "run"
@@ -166,7 +171,15 @@ class _Life:
             return _End("signal", f"the run was stopped by {signalled.result()}")
         if self._guard.stuck.done():
             return _End("device", f"{self._guard.stuck.result()} did not return, not even when it was cancelled")
-        return _End("run", "the run was cancelled")
+        return _End("machine", "the machine was suspended, so that all that was known of the world is stale")
+
+    async def _until_suspended(self) -> None:
+        """Return once the machine has been suspended and has come back (under the virtual clock: never)."""
+        if self._clock.virtual:
+            await asyncio.get_running_loop().create_future()
+        before = self._clock.suspended()
+        while self._clock.suspended() - before < SUSPENSION:  # noqa: ASYNC110  # the kernel sends no event
+            await asyncio.sleep(SUSPENSION / second)
 
     async def _make_safe(self) -> None:
         devices = list(self._devices.values())

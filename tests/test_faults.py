@@ -14,11 +14,12 @@ from pathlib import Path
 import pytest
 from parts import SCENARIOS, run_stopping, sarsa_agent
 
-from rtagent import Agent, Plan, RunError, Schedule, Supervision, Transition, clock, ms, run, second
+from rtagent import Agent, Component, Plan, RunError, Schedule, Supervision, Transition, clock, ms, run, second
 from rtagent.errors import DeviceError, RunStuckError, ScheduleError
 from rtagent.experience import Command, Observation, Outcome, Sample
 from rtagent.instruments import Instrument
 from rtagent.learning import Sarsa
+from rtagent.schedule import ACT, CHOOSE, OBSERVE
 from rtagent.tasks import Stopping
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 from rtagent_drivers.stopping import StoppingWorld, stopping_joint
@@ -228,6 +229,38 @@ def test_cancelling_a_run_makes_the_joint_safe() -> None:
 class NotOpening(FakeDevice):
     async def open(self) -> None:
         raise DeviceError("the port is busy")
+
+
+def test_after_a_suspension_of_the_machine_the_run_is_stopped_safely(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = iter([0, 0, 0])
+    monkeypatch.setattr(clock.RealClock, "suspended", lambda self: next(looks, 3600 * second))
+    joint = stopping_joint()
+    with pytest.raises(RunError, match="the machine was suspended"):
+        run_stopping(joint=joint, episodes=50, clock_name="real")
+    assert is_at_rest(joint)
+
+
+def test_what_was_not_learned_before_a_fault_is_learned_after_it() -> None:
+    class NeverLearns:
+        def cycle(self, situation: object) -> tuple[Component, ...]:
+            return (OBSERVE, CHOOSE, ACT)
+
+    task, journal = Stopping(), []
+
+    class Spy(Sarsa):
+        def update(self, transition: Transition) -> float:
+            journal.append(transition)
+            return super().update(transition)
+
+    def make(rng: object) -> Agent:
+        agent = sarsa_agent(task)(rng)  # type: ignore[arg-type]  # handed through
+        return Agent(agent.features, Spy(size=2, actions=2), agent.policy, agent.rng)
+
+    schedule = {"period": 10 * ms, "chooser": NeverLearns}
+    with pytest.raises(RunError) as caught:
+        run_stopping(joint=with_faults(disconnect=((300 * ms,),)), task=task, agent=make, **schedule)
+    assert len(journal) > 20
+    assert caught.value.result.recorder.counters["transitions_not_learned"] == 0
 
 
 def test_a_device_that_does_not_open_is_a_fault() -> None:

@@ -25,6 +25,9 @@ class Clock(Protocol):
     virtual: bool
     now: Callable[[], int]
 
+    def suspended(self) -> int:
+        """Return how long (ns) the machine has been suspended; only a change of it means anything."""
+
     async def sleep_until(self, when: int) -> None:
         """Return at `when` (ns), or at once where that has passed."""
 

@@ -22,6 +22,11 @@ class RealClock:
     virtual = False
     now: Callable[[], int] = staticmethod(time.monotonic_ns)
 
+    def suspended(self) -> int:
+        """Return how long (ns) the machine has been suspended since it was started, where that can be known."""
+        boot_time = getattr(time, "CLOCK_BOOTTIME", None)
+        return time.clock_gettime_ns(boot_time) - time.monotonic_ns() if boot_time is not None else 0
+
     async def sleep_until(self, when: int) -> None:
         """Return at `when` (ns), or at once where that has passed."""
         await asyncio.sleep(max(0, when - time.monotonic_ns()) / 1e9)

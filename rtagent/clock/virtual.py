@@ -325,6 +325,10 @@ class VirtualClock:
         self._busy_until = 0
         self.now: Callable[[], int] = lambda: loop.now
 
+    def suspended(self) -> int:
+        """Return 0: virtual time is never suspended."""
+        return 0
+
     async def sleep_until(self, when: int) -> None:
         """Return at `when` (ns), or at once where that has passed."""
         loop = self._loop
