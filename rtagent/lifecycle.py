@@ -18,13 +18,14 @@ from rtagent.clock import current
 from rtagent.costs import Costs
 from rtagent.device import Device, Foreseeing
 from rtagent.errors import DeviceError, RtagentError, RunStuckError, ScheduleError
+from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import Result, RunError
 from rtagent.runtime import Limits, Runtime
 from rtagent.schedule import Schedule
 from rtagent.streams import stream
-from rtagent.supervision import HangGuard, SupervisedDevice, Supervision, close_all, make_all_safe
+from rtagent.supervision import SupervisedDevice, Supervision, close_all, make_all_safe
 from rtagent.task import Task
 from rtagent.units import ms, second
 

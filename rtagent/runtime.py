@@ -17,6 +17,7 @@ from rtagent.costs import Costs
 from rtagent.device import Episodic
 from rtagent.errors import ScheduleError
 from rtagent.experience import Outcome
+from rtagent.guard import HangGuard
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
 from rtagent.pacing import Pacer
@@ -24,7 +25,7 @@ from rtagent.reaction import ReactionTimer
 from rtagent.recorder import EpisodeRecord, Recorder
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Order, Schedule, prologue
 from rtagent.senses import Senses
-from rtagent.supervision import HangGuard, SupervisedDevice
+from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
 from rtagent.units import second
 

@@ -274,6 +274,24 @@ def test_an_action_is_pending_from_its_choice_to_its_act() -> None:
     assert pending == [False, True, False, False]
 
 
+def test_an_action_is_a_repetition_where_it_is_the_one_in_force_already() -> None:
+    class Stubborn(Counted):
+        def choose(self, action_values: FloatArray, rng: Generator) -> tuple[int, float]:
+            number, probability = super().choose(action_values, rng)
+            return (0, 0, 1, 1)[number], probability
+
+    agent = agent_of(policy=Stubborn())
+    repeats = [agent.repeats_action]
+    for place in range(4):
+        see(agent, place)
+        agent.choose()
+        repeats.append(agent.repeats_action)
+        agent.acted()
+        assert agent.repeats_action
+    # nothing is pending at first; then action 0, the same again, action 1, the same again
+    assert repeats == [True, False, True, False, True]
+
+
 def test_an_episode_begins_without_anything_of_the_last_but_its_queue() -> None:
     agent = agent_of()
     see(agent, 10)
@@ -370,6 +388,15 @@ def test_each_transition_begins_where_the_last_ended(order: Order, needs_next_ac
         assert not needs_next_action or first.next_action == second.action
         assert not first.last
     assert learned[-1].terminated
+
+
+def test_the_next_action_is_the_one_that_was_chosen_in_the_next_state() -> None:
+    orders = [*rotations(STANDARD), *rotations(REACTIVE), *rotations((OBSERVE, ACT, CHOOSE, LEARN))]
+    for order in orders:
+        learned, _, _ = follow(order, needs_next_action=True)
+        # the policy takes action 0 in the first state that it is asked in, which is number 1, and so on
+        inner = [summary(transition)[3:] for transition in learned if not transition.last]
+        assert inner == [(state, state - 1) for state, _ in inner], order
 
 
 def test_learning_is_no_part_of_what_is_experienced() -> None:

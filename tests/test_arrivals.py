@@ -66,7 +66,7 @@ def streams(draw: st.DrawFn) -> tuple[Arrivals, Plan, float]:
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_the_newest_sample_is_that_of_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
@@ -77,7 +77,7 @@ def test_the_newest_sample_is_that_of_a_slow_simulation(
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_the_next_arrival_is_that_of_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
@@ -114,6 +114,20 @@ def test_a_late_sample_does_not_hide_those_that_overtake_it() -> None:
     arrivals = Arrivals(START, 10.0, 0, 0, disturbance, Scripted([0] * BLOCKS, fates))
     # the last three of the first block are late: the first of the second block comes before them
     assert arrivals.next_arrival(START + 10 * (FIRST_BLOCK - 4)) == START + 10 * FIRST_BLOCK
+
+
+def test_the_first_sample_after_a_long_silence_is_not_slept_through() -> None:
+    fates = np.full((8 * FIRST_BLOCK, 4), 0.9)
+    fates[FIRST_BLOCK - 1, 1] = 0.0
+    fates[FIRST_BLOCK : 2 * FIRST_BLOCK, 0] = 0.0
+    disturbance = Disturbance(drop=0.5, duplicate=0.0, corrupt=0.0, late=0.5, lateness=30 * FIRST_BLOCK)
+    arrivals = Arrivals(START, 10.0, 0, 0, disturbance, Scripted([0] * 8 * FIRST_BLOCK, fates))
+    # the last sample of the first block is three blocks late, and the second block is lost
+    now = START + 10 * (FIRST_BLOCK - 2)
+    newest = arrivals.newest(now)
+    while arrivals.newest(now) == newest:
+        now = arrivals.next_arrival(now)
+    assert now == START + 10 * 2 * FIRST_BLOCK
 
 
 @given(streams(), st.integers(0, int(1.5 * FIRST_BLOCK)))

@@ -20,7 +20,7 @@ LAYERS = [
     {"features", "learning", "policy"},
     {
         "device", "task", "tasks", "clock", "costs", "pacing", "reaction",
-        "series", "summary", "recorder", "instruments",
+        "series", "summary", "recorder", "instruments", "guard",
     },
     {"agent", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
 ]  # fmt: skip

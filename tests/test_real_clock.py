@@ -137,6 +137,16 @@ def test_a_charge_costs_nothing_in_real_time() -> None:
     assert charged < computed
 
 
+def test_a_machine_that_is_awake_is_not_taken_for_suspended() -> None:
+    async def main() -> tuple[int, int]:
+        began, before = now(), current().suspended()
+        await asyncio.sleep(0.02)
+        return abs(current().suspended() - before), now() - began
+
+    slept, taken = clock.run(main(), "real")
+    assert slept < taken / 5
+
+
 def test_the_clock_is_real_on_any_other_loop() -> None:
     async def main() -> bool:
         return current().virtual

@@ -19,6 +19,7 @@ from rtagent.schedule import (
     Order,
     Overrun,
     Schedule,
+    Wait,
     parse_order,
     prologue,
 )
@@ -199,8 +200,27 @@ def test_a_negative_time_is_refused(name: str) -> None:
 def test_a_schedule_takes_components_by_name() -> None:
     schedule = Schedule(("observe", "learn"))  # type: ignore[arg-type]  # scenario files hold strings
     assert schedule.order == (OBSERVE, LEARN)
+    assert all(isinstance(component, Component) for component in schedule.order)
     assert (schedule.acts, schedule.learns) == (False, True)
     assert schedule.overrun is Overrun.SKIP
+
+
+def test_a_schedule_takes_the_other_choices_by_name_too_and_refuses_unknown_ones() -> None:
+    schedule = Schedule(REACTIVE, overrun="catch_up", observe="latest")  # type: ignore[arg-type]  # as above
+    assert schedule.overrun is Overrun.CATCH_UP
+    assert schedule.observe is Wait.LATEST
+    for settings in ({"overrun": "hurry"}, {"observe": "never"}):
+        with pytest.raises(
+            ScheduleError, match=r"'hurry': use one of skip, catch_up|'never': use one of fresh, latest"
+        ):
+            Schedule(REACTIVE, **settings)  # type: ignore[arg-type]  # as above
+
+
+def test_schedules_are_values() -> None:
+    assert Schedule(REACTIVE) == Schedule(REACTIVE, chooser=lambda: ListChooser(STANDARD))
+    assert Schedule(REACTIVE) != Schedule(STANDARD)
+    with pytest.raises(AttributeError):
+        Schedule(REACTIVE).period = 5  # type: ignore[misc]  # that it cannot be set is the point
 
 
 def test_a_list_is_the_simplest_chooser() -> None:

@@ -120,6 +120,24 @@ def test_numbers_of_every_kind_fit_a_scalar(value: object) -> None:
     assert Spec(low=0, high=3).problem(value) is None
 
 
+def test_what_fits_is_validated_without_a_word() -> None:
+    Spec(low=0, high=3).validate(3.0, "elbow")
+    Spec.flag().validate(True)
+
+
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        (Spec(low=0, high=3, unit="rad"), "float from 0 to 3 rad"),
+        (Spec.discrete(4), "int from 0 to 3"),
+        (Spec.flag(), "true or false"),
+        (Spec(shape=(2, 3), low=-1.5), "array of shape (2, 3) of float from -1.5 to inf"),
+    ],
+)
+def test_a_spec_describes_itself(spec: Spec, text: str) -> None:
+    assert str(spec) == text
+
+
 def test_an_array_fits_with_its_shape_and_range() -> None:
     spec = Spec(shape=(2,), low=0, high=1)
     assert spec.problem(np.array([0.0, 1.0])) is None

@@ -33,7 +33,9 @@ SCHEMA_TEXT = st.from_regex(r"\A ?[-+]?\d{0,3}\.?\d{0,2}(e[-+]?\d)? ?(ms|µs|μs
 @pytest.mark.parametrize(
     ("quantity", "text", "value"),
     [
-        (TIME, "50ms", 50 * ms),
+        (TIME, "1ns", 1),
+        (TIME, "1s", 1_000_000_000),
+        (TIME, "50ms", 50_000_000),
         (TIME, " 1.5 s ", 1_500_000_000),
         (TIME, "2min", 120 * second),
         (TIME, "1h", 3600 * second),
@@ -48,11 +50,21 @@ SCHEMA_TEXT = st.from_regex(r"\A ?[-+]?\d{0,3}\.?\d{0,2}(e[-+]?\d)? ?(ms|µs|μs
         (TIME, 0, 0),
         (FREQUENCY, "30Hz", 30.0),
         (FREQUENCY, "2.5kHz", 2500.0),
+        (FREQUENCY, "2MHz", 2e6),
+        (ANGLE, "1rad", 1.0),
         (ANGLE, "90deg", math.pi / 2),
         (ANGLE, "0.5turn", math.pi),
         (ANGULAR_VELOCITY, "60rpm", 2 * math.pi),
+        (ANGULAR_VELOCITY, "180deg/s", math.pi),
+        (ANGULAR_VELOCITY, "2rad/s", 2.0),
         (LENGTH, "20cm", 0.2),
+        (LENGTH, "20mm", 0.02),
+        (LENGTH, "2m", 2.0),
         (SPEED, "5mm/s", 0.005),
+        (SPEED, "5cm/s", 0.05),
+        (SPEED, "5m/s", 5.0),
+        (BAUD, "9600baud", 9600),
+        (BAUD, "9.6kbaud", 9600),
         (BAUD, "1Mbaud", 1_000_000),
     ],
 )
@@ -128,6 +140,16 @@ def test_a_time_is_written_in_the_largest_unit_that_is_whole(value: int, text: s
 def test_the_error_of_a_unit_of_another_kind_names_the_units_that_there_are() -> None:
     with pytest.raises(UnitError, match=r"'Hz' in '50Hz' is no unit of time: use one of ns, us, ms"):
         TIME.parse("50Hz")
+
+
+@pytest.mark.parametrize("quantity", ALL, ids=lambda quantity: quantity.kind)
+def test_the_example_in_an_error_can_be_used(quantity: Quantity) -> None:
+    for value in (None, 50, "fifty"):
+        with pytest.raises(UnitError) as error:
+            quantity.parse(value)
+        (example,) = re.findall(r'such as "(.+)"', str(error.value))
+        assert quantity.parse(example) > 0
+        assert example.startswith("50")
 
 
 @given(st.sampled_from(ALL), SCHEMA_TEXT)

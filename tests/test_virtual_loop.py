@@ -8,6 +8,7 @@ import contextvars
 import logging
 import os
 import socket
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from typing import Any
 
@@ -335,6 +336,17 @@ def test_an_abandoned_generator_is_closed_in_the_loop() -> None:
         assert notes == ["closed"]
 
 
+def test_a_run_leaves_no_trace_in_the_interpreter() -> None:
+    async def main() -> None:
+        await asyncio.sleep(1)
+
+    before = sys.get_asyncgen_hooks()
+    virtually(main())
+    assert sys.get_asyncgen_hooks() == before
+    with pytest.raises(RuntimeError):
+        asyncio.get_running_loop()
+
+
 def test_an_error_in_a_callback_is_handed_to_the_handler_and_the_loop_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -493,8 +505,20 @@ def test_a_closed_loop_takes_no_more_work() -> None:
 
     virtually(main())
     assert loops[0].is_closed()
+    for attempt in (loops[0].call_soon, lambda callback: loops[0].call_later(1, callback)):
+        with pytest.raises(RuntimeError, match="closed"):
+            attempt(print)
     with pytest.raises(RuntimeError, match="closed"):
-        loops[0].call_soon(print)
+        loops[0].run_forever()
+
+
+def test_a_loop_that_runs_cannot_be_run_again() -> None:
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        with pytest.raises(RuntimeError):
+            loop.run_forever()
+
+    virtually(main())
 
 
 # The end of a run
