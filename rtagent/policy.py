@@ -26,10 +26,12 @@ class Greedy:
 
     def choose(self, action_values: FloatArray, rng: Generator) -> tuple[int, float]:
         """Return a best action; nothing is drawn from `rng` where there is only one."""
-        best = np.flatnonzero(action_values == action_values.max())
-        if best.size == 1:
-            return int(best[0]), 1.0
-        return int(best[rng.integers(best.size)]), 1.0 / best.size
+        values = action_values.tolist()  # for a few actions a list is ten times quicker than an array
+        highest = max(values)
+        best = [action for action, value in enumerate(values) if value == highest]
+        if len(best) == 1:
+            return best[0], 1.0
+        return best[int(rng.integers(len(best)))], 1.0 / len(best)
 
     def probabilities(self, action_values: FloatArray) -> FloatArray:
         """Return the uniform distribution over the best actions."""

@@ -22,7 +22,7 @@ LAYERS = [
         "device", "task", "tasks", "clock", "costs", "pacing", "reaction",
         "series", "summary", "recorder", "instruments", "guard",
     },
-    {"agent", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
+    {"agent", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
 ]  # fmt: skip
 EDGES = len(LAYERS)
 """Whatever is in no other layer is an edge."""

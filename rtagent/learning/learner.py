@@ -36,6 +36,8 @@ class PredictionLearner(Learner, Protocol):
 
 def linear_value(weights: FloatArray, features: FeatureVector) -> float:
     """Return the inner product of `weights`, shape (size,), and `features`."""
+    if features.values is None and features.indices.size == 1:
+        return float(weights[features.indices[0]])
     if features.values is None:
         return float(weights[features.indices].sum())
     return float(weights[features.indices] @ features.values)
@@ -43,6 +45,8 @@ def linear_value(weights: FloatArray, features: FeatureVector) -> float:
 
 def linear_values(weights: FloatArray, features: FeatureVector) -> FloatArray:
     """Return the inner products of every row of `weights`, shape (actions, size), and `features`."""
+    if features.values is None and features.indices.size == 1:
+        return weights[:, features.indices[0]]
     columns = weights[:, features.indices]
     values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
     return values
