@@ -88,7 +88,7 @@ class Agent:
         features = self.features.encode(outcome.state)
         self._reward += outcome.reward
         closed = None
-        if self._closes(outcome):
+        if self._acted or self._closes(outcome):
             closed = self._close(outcome, features, time)
         elif self._incomplete is not None:
             self._refresh(self._incomplete, outcome, features, time)
@@ -117,7 +117,6 @@ class Agent:
         chosen = self.chosen
         if chosen is not None and chosen is self._in_force and self._features is not None:
             self.chosen = chosen._replace(features=self._features, observed_at=self._observed_at)
-        if self._incomplete is not None and chosen is not None:
             self._complete(chosen.action)
         self._in_force = self.chosen
         self._acted = True
@@ -130,12 +129,12 @@ class Agent:
     def _closes(self, outcome: Outcome) -> bool:
         if self.policy is None:
             return self._features is not None
-        if self._in_force is None:
-            return False
-        return self._acted or (self._incomplete is None and (outcome.terminated or outcome.truncated))
+        ends = outcome.terminated or outcome.truncated
+        return ends and self._in_force is not None and self._incomplete is None
 
     def _close(self, outcome: Outcome, features: FeatureVector, time: int) -> Transition:
-        before = self._decision_before()
+        before = self._in_force if self._acted and self._in_force else self._standing_decision()
+        self._complete(before.action)  # where nothing was chosen since, what was done is the next action
         transition = Transition(
             before.features,
             before.action,
@@ -154,12 +153,11 @@ class Agent:
             self._enqueue(transition)
         return transition
 
-    def _decision_before(self) -> Decision:
-        if self.policy is None or not self._acted:
-            in_force = self._in_force
-            action, probability = (in_force.action, in_force.probability) if in_force else (None, 1.0)
-            return Decision(cast("FeatureVector", self._features), self._observed_at, action, probability)
-        return cast("Decision", self._in_force)
+    def _standing_decision(self) -> Decision:
+        """Return the last observation under the action that is still in force, if any."""
+        in_force = self._in_force
+        action, probability = (in_force.action, in_force.probability) if in_force else (None, 1.0)
+        return Decision(cast("FeatureVector", self._features), self._observed_at, action, probability)
 
     def _refresh(self, transition: Transition, outcome: Outcome, features: FeatureVector, time: int) -> None:
         transition.elapsed += time - self._observed_at

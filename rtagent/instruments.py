@@ -62,24 +62,25 @@ class Hooks:
             for name in HOOKS
         }
         self.any = any(self._calls.values())
+        self.heard = frozenset(name for name, calls in self._calls.items() if calls)
         self.removed: list[str] = []
-        self._noted: list[tuple[str, tuple[Any, ...]]] = []
+        self.noted: list[tuple[str, tuple[Any, ...]]] = []
 
     def note(self, name: str, *args: Any) -> None:
-        """Keep a call for later, if any instrument wants it."""
-        if self._calls[name]:
-            self._noted.append((name, args))
+        """Keep a call for later; worth it only where `name` is among `heard`."""
+        self.noted.append((name, args))
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
-        if not self._noted:
-            return
-        noted, self._noted = self._noted, []
-        for name, args in noted:
-            self.call(name, *args)
+        for name, args in self.noted:
+            self._call(name, args)
+        self.noted.clear()
 
     def call(self, name: str, *args: Any) -> None:
         """Call the hook `name` of every instrument, now."""
+        self._call(name, args)
+
+    def _call(self, name: str, args: tuple[Any, ...]) -> None:
         for hook in self._calls[name]:
             try:
                 hook(*args)

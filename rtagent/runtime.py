@@ -88,6 +88,7 @@ class Runtime:
         self._task, self._agent, self._schedule = task, agent, schedule
         self._clock, self._now, self._guard = clock, clock.now, guard
         self._recorder, self._hooks, self._limits = recorder, hooks, limits
+        self._heard = hooks.heard
         self._costs, self._costs_rng = (costs if clock.virtual else {}), costs_rng
         self._reactions = ReactionTimer(task.answers)
         self._prologue = agent_prologue(schedule, agent)
@@ -130,8 +131,13 @@ class Runtime:
         for component in self._prologue:
             await self._components[component]()
         chooser = self._schedule.make_chooser()
+        paced = bool(self._schedule.period) or self._idling is not None
         while not self._over:
-            await self._next_cycle()
+            if paced:
+                await self._wait_for_cycle()
+            else:
+                await yield_once()
+            self._mark = self._now()
             for component in chooser.cycle(self):
                 await self._components[component]()
                 if self._over:
@@ -176,7 +182,7 @@ class Runtime:
         self._recorder.episodes.append(self._episode)
         self._hooks.call("episode_ended", self._episode)
 
-    async def _next_cycle(self) -> None:
+    async def _wait_for_cycle(self) -> None:
         if self._pacer is not None:
             await self._clock.sleep_until(self._pacer.next(self._now()))
         elif self._schedule.period:
@@ -186,7 +192,6 @@ class Runtime:
         if self._idling is not None:
             await self._idling.cycle_ended(settled=not self._changed and self._agent.repeats_action)
             self._changed = False
-        self._mark = self._now()
 
     # The components
 
@@ -208,7 +213,7 @@ class Runtime:
         self._episode.truncated = outcome.truncated
         self._done(OBSERVE)
         self._record_queue_length(len(self._agent.queue))
-        if self._hooks.any:
+        if "observed" in self._heard:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
@@ -217,7 +222,7 @@ class Runtime:
             await self._charge(CHOOSE)
         self._reactions.chose()
         end = self._done(CHOOSE)
-        if self._hooks.any:
+        if "chose" in self._heard:
             self._hooks.note("chose", decision.action, decision.probability, end)
 
     async def _act(self) -> None:
@@ -233,8 +238,9 @@ class Runtime:
             self._changed = self._changed or not self._agent.repeats_action
             self._agent.acted()
             reactions = self._reactions.acted(decision.action, start, end)
-            if self._hooks.any:
+            if "acted" in self._heard:
                 self._hooks.note("acted", decision.action, sent, start, end)
+            if reactions and "reacted" in self._heard:
                 for reaction in reactions:
                     self._hooks.note("reacted", reaction)
         self._tell()
@@ -247,21 +253,21 @@ class Runtime:
             if self._costs:
                 await self._charge(LEARN)
             end = self._done(LEARN)
-            if self._hooks.any:
+            if "learned" in self._heard:
                 self._hooks.note("learned", transition, delta, end)
 
     def _done(self, component: Component) -> int:
         """Note that a component has ended; it began where the last one did, or the cycle."""
         start, end = self._mark, self._now()
         self._record_component[component](end - start)
-        if self._hooks.any:
+        if "component" in self._heard:
             self._hooks.note("component", component, start, end)
         self._mark = end
         return end
 
     def _tell(self) -> None:
         """Call the hooks for all that was noted: never between an observation and its action."""
-        if self._hooks.any:
+        if self._hooks.noted:
             self._hooks.tell()
             self._mark = self._now()
 

@@ -16,8 +16,6 @@ from rtagent.errors import ScheduleError
 class Component(StrEnum):
     """One of the four components of an agent."""
 
-    __hash__ = str.__hash__  # Enum's own is ten times slower, and the loop looks components up
-
     ACT = "act"
     OBSERVE = "observe"
     CHOOSE = "choose"

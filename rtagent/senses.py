@@ -26,6 +26,7 @@ class Senses:
         self._waits = schedule.observe is Wait.FRESH
         self._timeout = schedule.observe_timeout
         self._now, self._record_age = clock.now, recorder.sample_age.record
+        self._stimulating = [device for device in devices if device.stimulating]
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
@@ -36,16 +37,13 @@ class Senses:
         else:
             await self._read_all()
         samples: dict[str, Sample] = {}
-        stimuli = NO_STIMULI
         for device in self._devices:
             samples[device.name] = device.sample or await self._first_sample(device)
-            new = device.new_stimuli()
-            if new:
-                stimuli = [*stimuli, *new]
         now = self._now()
         for sample in samples.values():
             self._record_age(now - sample.world_time)
-        return Observation(now, samples, self._stale(now) if self._may_be_stale else NOTHING), stimuli
+        stale = self._stale(now) if self._may_be_stale else NOTHING
+        return Observation(now, samples, stale), self._new_stimuli() if self._stimulating else NO_STIMULI
 
     async def _read_all(self) -> None:
         fresh = False
@@ -86,6 +84,9 @@ class Senses:
                 )
             await device.wait(left)
         return device.sample
+
+    def _new_stimuli(self) -> Sequence[Stimulus]:
+        return [stimulus for device in self._stimulating for stimulus in device.new_stimuli()]
 
     def _stale(self, now: int) -> frozenset[str]:
         return frozenset(device.name for device in self._may_be_stale if device.stale(now))

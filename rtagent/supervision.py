@@ -75,6 +75,11 @@ class SupervisedDevice:
         self.sequence = -1
         self._stimuli_until = 0
 
+    @property
+    def stimulating(self) -> bool:
+        """Whether the device knows when stimuli happen."""
+        return self._stimulating is not None
+
     async def open(self) -> None:
         """Open the device; raises what it raises, or TimeoutError."""
         await self._guard.bound(self.device.open(), OPEN_TIMEOUT, f"{self.name}.open")

@@ -17,8 +17,13 @@ class Task(Protocol):
     only predicts).
     """
 
-    state: Mapping[str, Spec]
-    actions: Sequence[str]
+    @property
+    def state(self) -> Mapping[str, Spec]:
+        """The signals of the state, with their specs."""
+
+    @property
+    def actions(self) -> Sequence[str]:
+        """The names of the actions."""
 
     def bind(self, devices: Mapping[str, DeviceSpec]) -> None:
         """Check, before a run, that the devices have what the task needs; raise `SpecError`."""

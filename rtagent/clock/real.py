@@ -13,6 +13,9 @@ from collections.abc import Callable
 from math import ceil
 
 CLOCK_MONOTONIC = 1
+EARLY = 200e-6
+"""A long wait (s) ends so much earlier and asyncio waits for the rest: the late return of a processor from sleep
+falls into it."""
 TFD_NONBLOCK_CLOEXEC = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
@@ -81,7 +84,7 @@ class TimerfdSelector(_Selector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait at most `timeout` seconds (None: for ever) and return what is ready."""
         if timeout is not None and timeout > 0:
-            self._arm(timeout)
+            self._arm(timeout - EARLY if timeout > 2 * EARLY else timeout)
             timeout = None
         elif timeout is None and self._armed:
             self._arm(0)
