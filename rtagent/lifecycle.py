@@ -22,7 +22,7 @@ from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import Result, RunError
-from rtagent.runtime import Limits, Runtime
+from rtagent.runtime import Limits, Runtime, agent_prologue
 from rtagent.schedule import Schedule
 from rtagent.streams import stream
 from rtagent.supervision import SupervisedDevice, Supervision, close_all, make_all_safe
@@ -110,6 +110,8 @@ class _Life:
             for name, device in devices.items()
         }
         self._agents: list[Agent] = []
+        self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
+        agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
         task.bind({name: device.spec for name, device in devices.items()})
         if self._clock.virtual:
@@ -134,7 +136,7 @@ class _Life:
         for device in self._devices.values():
             await device.open()
         for trial in range(self._plan.trials):
-            agent = self._make_agent(stream(self._plan.seed, "policy", trial))
+            agent = self._make_agent(stream(self._plan.seed, "policy", trial)) if trial else self._first_agent
             self._agents.append(agent)
             runtime = self._runtime(agent, trial)
             for episode in range(self._plan.episodes):

@@ -57,6 +57,11 @@ def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
         )
     if agent.policy is not None and not schedule.acts:
         raise ScheduleError("the agent has a policy, but the order never chooses: leave one of them out.")
+    controls = hasattr(agent.learner, "action_values")
+    if schedule.acts and not controls:
+        raise ScheduleError("this learner predicts, it values no actions: take one for control, such as sarsa.")
+    if schedule.learns and controls and not schedule.acts:
+        raise ScheduleError("this learner values actions, but the order never acts: take one that predicts, as td.")
     return before
 
 

@@ -115,8 +115,24 @@ def test_no_reward_is_lost_by_a_second_look() -> None:
 
 
 def test_an_order_that_cannot_work_is_refused_before_anything_opens() -> None:
-    with pytest.raises(RunError, match="learns from the next action"):
+    with pytest.raises(ScheduleError, match="learns from the next action"):
         run_custom(Schedule((ACT, OBSERVE, LEARN, CHOOSE), learn_delay=ms))
+
+
+def test_a_learner_that_only_predicts_cannot_control() -> None:
+    def make(rng: Generator) -> Agent:
+        return Agent(Tabular(state=Stopping().state), TD(size=2), EpsilonGreedy(), rng)
+
+    with pytest.raises(ScheduleError, match="it values no actions"):
+        run_custom(Schedule.preset("reactive", learn_delay=ms), make=make)
+
+
+def test_a_learner_of_action_values_needs_actions() -> None:
+    def make(rng: Generator) -> Agent:
+        return Agent(Tabular(state=Stopping().state), QLearning(size=2, actions=2), None, rng)
+
+    with pytest.raises(ScheduleError, match="the order never acts"):
+        run_custom(Schedule((OBSERVE, LEARN), period=ms), make=make)
 
 
 def test_a_period_paces_the_cycle_on_a_grid() -> None:

@@ -83,6 +83,36 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, sen
     assert found[0].startswith("scenario.toml:")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "table"),
+    [
+        ("alpha = 0.1", "alpha = 0", "[learner]"),
+        ('type = "greedy"', 'type = "epsilon_greedy"\nepsilon = 2.0', "[policy]"),
+        ('type = "tabular"', 'type = "binned"\nbins = 0', "[features]"),
+        ('velocity = "100deg/s"', 'velocity = "-1deg/s"', "[devices.joint]"),
+        ('preset = "reactive"', 'order = ["observe"]', "[schedule]"),
+    ],
+)
+def test_what_a_part_refuses_is_told_with_the_line_of_its_table(
+    tmp_path: Path, old: str, new: str, table: str
+) -> None:
+    text = GOOD.replace(old, new, 1)
+    assert int(problems(tmp_path, text)[0].split(":")[1]) == line_of(text, table)
+
+
+def test_a_plugin_that_raises_anything_is_told_in_a_sentence(tmp_path: Path) -> None:
+    class Moody:
+        """A policy that cannot be made."""
+
+        def __init__(self) -> None:
+            raise KeyError("mood")
+
+    plugins.register("policies", "moody", Moody)
+    found = problems(tmp_path, GOOD.replace('type = "greedy"', 'type = "moody"'))
+    assert len(found) == 1
+    assert "policy: KeyError('mood')" in found[0]
+
+
 def test_the_line_is_that_of_the_key(tmp_path: Path) -> None:
     text = GOOD.replace("gamma = 0.9", "gama = 0.9").replace('travel = "300deg"', 'travel = "300"')
     found = problems(tmp_path, text)

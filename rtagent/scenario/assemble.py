@@ -14,7 +14,9 @@ from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
 from rtagent.device import Device
 from rtagent.errors import RtagentError, ScenarioError
+from rtagent.features import FeatureCoder
 from rtagent.lifecycle import Plan, refuse_stuck, run
+from rtagent.policy import Policy
 from rtagent.result import Result
 from rtagent.runtime import Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
@@ -65,8 +67,9 @@ class _Problems:
         """Return what `make` makes, or None after noting why it could not."""
         try:
             return make()
-        except (RtagentError, ValueError, TypeError) as error:
-            self.sentences.append(f"{self._source.where(path)}: {'.'.join(map(str, path))}: {error}")
+        except Exception as error:  # a plug-in may raise anything
+            said = str(error) if isinstance(error, RtagentError) else repr(error)
+            self.sentences.append(f"{self._source.where(path)}: {'.'.join(map(str, path))}: {said}")
             return None
 
 
@@ -83,8 +86,9 @@ def assemble(scenario: Scenario) -> Assembly:
         problems.attempt(("task",), lambda: task.bind({name: device.spec for name, device in devices.items()}))
     schedule = problems.attempt(("schedule",), lambda: _schedule(scenario))
     costs = problems.attempt(("costs",), lambda: _costs(scenario)) or {}
-    make_agent = _agent_maker(scenario, task) if task is not None else None
-    agent = make_agent and _try_agent(make_agent, scenario, problems)
+    make_agent = _AgentBuilder(scenario, task) if task is not None else None
+    rng = stream(scenario.model.run.seed, "check")
+    agent = make_agent.attempt(problems, rng) if make_agent is not None else None
     before: Order = ()
     if schedule is not None and agent is not None:
         before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
@@ -104,25 +108,41 @@ def _build(part: Part, **context: Any) -> Any:
     return plugins.build(part.plugin, part.given(), **context)
 
 
-def _agent_maker(scenario: Scenario, task: Task) -> Callable[[Generator], Agent]:
-    def make(rng: Generator) -> Agent:
-        features = _build(scenario.parts["features"], state=task.state)
-        policy = _build(scenario.parts["policy"]) if "policy" in scenario.parts else None
-        learner = _build(
-            scenario.parts["learner"],
+class _AgentBuilder:
+    """Builds agents from the tables of a scenario; each part under its own place, for its problems."""
+
+    def __init__(self, scenario: Scenario, task: Task) -> None:
+        self._parts, self._task = scenario.parts, task
+
+    def __call__(self, rng: Generator) -> Agent:
+        features, policy = self._features(), self._policy()
+        return Agent(features, self._learner(features, policy), policy, rng)
+
+    def attempt(self, problems: _Problems, rng: Generator) -> Agent | None:
+        """Make an agent once, noting what is wrong with each of its parts."""
+        features = problems.attempt(("features",), self._features)
+        policy = problems.attempt(("policy",), self._policy)
+        if features is None or (policy is None and "policy" in self._parts):
+            return None
+        learner = problems.attempt(("learner",), lambda: self._learner(features, policy))
+        return None if learner is None else Agent(features, learner, policy, rng)
+
+    def _features(self) -> FeatureCoder:
+        made: FeatureCoder = _build(self._parts["features"], state=self._task.state)
+        return made
+
+    def _policy(self) -> Policy | None:
+        made: Policy | None = _build(self._parts["policy"]) if "policy" in self._parts else None
+        return made
+
+    def _learner(self, features: FeatureCoder, policy: Policy | None) -> Any:
+        return _build(
+            self._parts["learner"],
             size=features.size,
             active=features.active,
-            actions=len(task.actions),
+            actions=len(self._task.actions),
             policy=policy,
         )
-        return Agent(features, learner, policy, rng)
-
-    return make
-
-
-def _try_agent(make_agent: Callable[[Generator], Agent], scenario: Scenario, problems: _Problems) -> Agent | None:
-    """Make an agent once, for its problems; the place is that of the first table that it is made of."""
-    return problems.attempt(("features",), lambda: make_agent(stream(scenario.model.run.seed, "check")))
 
 
 def _schedule(scenario: Scenario) -> Schedule:
