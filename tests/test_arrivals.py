@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -10,10 +11,19 @@ from helpers import Scripted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtagent_drivers.arrivals import FIRST_BLOCK, Arrival, Arrivals, Disturbance
+from rtagent_drivers.arrivals import Arrival, Arrivals, Disturbance
 
 START = 10**15
-BLOCKS = 3 * FIRST_BLOCK
+BLOCK = 16
+"""So many samples are drawn at first in these tests, so that much happens where more have to be drawn."""
+SAMPLES = 64 * BLOCK
+
+
+def arrivals_of(
+    period: float, delay: int, jitter: int, disturbance: Disturbance | None, rng: np.random.Generator
+) -> Arrivals:
+    with mock.patch("rtagent_drivers.arrivals.FIRST_BLOCK", BLOCK):
+        return Arrivals(START, period, delay, jitter, disturbance, rng)
 
 
 class Plan:
@@ -45,7 +55,7 @@ class Plan:
 
 PROBABILITY = st.sampled_from([0.0, 0.1, 0.5])
 MOMENTS = st.lists(
-    st.one_of(st.floats(-2, 2.2 * FIRST_BLOCK), st.integers(FIRST_BLOCK - 20, FIRST_BLOCK + 3)),
+    st.one_of(st.floats(-2, 9 * BLOCK), st.integers(BLOCK - 5, BLOCK + 3)),
     min_size=1,
     max_size=6,
 )
@@ -59,14 +69,14 @@ def streams(draw: st.DrawFn) -> tuple[Arrivals, Plan, float]:
     lateness = draw(st.sampled_from([0, math.ceil(period), math.ceil(40.4 * period)]))
     disturbance = Disturbance(*(draw(PROBABILITY) for _ in range(4)), lateness)
     drawing = np.random.default_rng(draw(st.integers(0, 2**32)))
-    jitters = drawing.integers(0, jitter, 2 * BLOCKS, endpoint=True).tolist()
-    chances = drawing.random((2 * BLOCKS, 4))
+    jitters = drawing.integers(0, jitter, SAMPLES, endpoint=True).tolist()
+    chances = drawing.random((SAMPLES, 4))
     plan = Plan(period, delay, jitters, chances, disturbance)
-    return Arrivals(START, period, delay, jitter, disturbance, Scripted(jitters, chances)), plan, period
+    return arrivals_of(period, delay, jitter, disturbance, Scripted(jitters, chances)), plan, period
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_the_newest_sample_is_that_of_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
@@ -77,60 +87,63 @@ def test_the_newest_sample_is_that_of_a_slow_simulation(
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=40, deadline=None)
-def test_the_next_arrival_is_that_of_a_slow_simulation(
+@settings(max_examples=80, deadline=None)
+def test_the_next_arrival_is_not_later_than_in_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
     arrivals, plan, period = stream
     for moment in moments:
         now = START + round(moment * period)
-        assert arrivals.next_arrival(now) == plan.next_arrival(now)
+        assert now < arrivals.next_arrival(now) <= plan.next_arrival(now)
 
 
 @given(streams())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_following_the_arrivals_one_by_one_meets_them_all(stream: tuple[Arrivals, Plan, float]) -> None:
     arrivals, plan, period = stream
-    now, met, end = START - 1, [], START + round(1.2 * FIRST_BLOCK * period)
+    now, met, end = START - 1, set(), START + round(5 * BLOCK * period)
     while now < end:
         now = arrivals.next_arrival(now)
-        met.append(now)
-    assert met == sorted({sample.arrival for sample in plan.sent if sample.arrival <= now})
+        met.add(now)
+    expected = {sample.arrival for sample in plan.sent if sample.arrival <= now}
+    assert expected <= met
+    # it is also told to look again where more samples have to be drawn, which are twice as many each time
+    assert len(met - expected) <= 5
 
 
 @pytest.mark.parametrize("near", [-2, -1, 0, 1])
 @pytest.mark.parametrize("period", [10.0, 1e9 / 30, 1e9 / 3])
 def test_the_newest_at_the_very_moment_of_an_arrival_is_what_arrives(near: int, period: float) -> None:
-    number = FIRST_BLOCK + near
-    arrivals = Arrivals(START, period, 0, 0, None, np.random.default_rng(0))
+    number = BLOCK + near
+    arrivals = arrivals_of(period, 0, 0, None, np.random.default_rng(0))
     newest = arrivals.newest(START + round(number * period))
     assert newest == Arrival(number, START + round(number * period), START + round(number * period), False)
 
 
 def test_a_late_sample_does_not_hide_those_that_overtake_it() -> None:
-    fates = np.full((BLOCKS, 4), 0.9)
-    fates[FIRST_BLOCK - 3 : FIRST_BLOCK, 1] = 0.0
-    disturbance = Disturbance(0.0, 0.0, 0.0, late=0.5, lateness=1000)
-    arrivals = Arrivals(START, 10.0, 0, 0, disturbance, Scripted([0] * BLOCKS, fates))
+    fates = np.full((SAMPLES, 4), 0.9)
+    fates[BLOCK - 3 : BLOCK, 1] = 0.0
+    disturbance = Disturbance(0.0, 0.0, 0.0, late=0.5, lateness=200)
+    arrivals = arrivals_of(10.0, 0, 0, disturbance, Scripted([0] * SAMPLES, fates))
     # the last three of the first block are late: the first of the second block comes before them
-    assert arrivals.next_arrival(START + 10 * (FIRST_BLOCK - 4)) == START + 10 * FIRST_BLOCK
+    assert arrivals.next_arrival(START + 10 * (BLOCK - 4)) == START + 10 * BLOCK
 
 
 def test_the_first_sample_after_a_long_silence_is_not_slept_through() -> None:
-    fates = np.full((8 * FIRST_BLOCK, 4), 0.9)
-    fates[FIRST_BLOCK - 1, 1] = 0.0
-    fates[FIRST_BLOCK : 2 * FIRST_BLOCK, 0] = 0.0
-    disturbance = Disturbance(drop=0.5, duplicate=0.0, corrupt=0.0, late=0.5, lateness=30 * FIRST_BLOCK)
-    arrivals = Arrivals(START, 10.0, 0, 0, disturbance, Scripted([0] * 8 * FIRST_BLOCK, fates))
+    fates = np.full((8 * BLOCK, 4), 0.9)
+    fates[BLOCK - 1, 1] = 0.0
+    fates[BLOCK : 2 * BLOCK, 0] = 0.0
+    disturbance = Disturbance(drop=0.5, duplicate=0.0, corrupt=0.0, late=0.5, lateness=30 * BLOCK)
+    arrivals = arrivals_of(10.0, 0, 0, disturbance, Scripted([0] * 8 * BLOCK, fates))
     # the last sample of the first block is three blocks late, and the second block is lost
-    now = START + 10 * (FIRST_BLOCK - 2)
+    now = START + 10 * (BLOCK - 2)
     newest = arrivals.newest(now)
     while arrivals.newest(now) == newest:
         now = arrivals.next_arrival(now)
-    assert now == START + 10 * 2 * FIRST_BLOCK
+    assert now == START + 10 * 2 * BLOCK
 
 
-@given(streams(), st.integers(0, int(1.5 * FIRST_BLOCK)))
+@given(streams(), st.integers(0, 6 * BLOCK))
 @settings(max_examples=30, deadline=None)
 def test_what_was_doubled_and_overtaken_is_counted(stream: tuple[Arrivals, Plan, float], moment: int) -> None:
     arrivals, plan, period = stream
@@ -146,15 +159,15 @@ def test_what_was_doubled_and_overtaken_is_counted(stream: tuple[Arrivals, Plan,
 
 def test_nothing_is_counted_as_lost_where_nothing_is_dropped() -> None:
     late = Disturbance(0.0, 0.0, 0.0, late=0.2, lateness=55)
-    arrivals = Arrivals(START, 10.0, 0, 0, late, np.random.default_rng(0))
+    arrivals = arrivals_of(10.0, 0, 0, late, np.random.default_rng(0))
     assert {arrivals.counters(START + now)["samples_lost"] for now in range(0, 2000, 5)} == {0}
 
 
 def test_what_was_dropped_is_counted_as_lost() -> None:
-    chances = np.full((BLOCKS, 4), 0.9)
+    chances = np.full((SAMPLES, 4), 0.9)
     chances[[3, 4, 7], 0] = 0.0
     dropping = Disturbance(drop=0.5, duplicate=0.0, corrupt=0.0, late=0.0, lateness=0)
-    arrivals = Arrivals(START, 10.0, 0, 0, dropping, Scripted([0] * BLOCKS, chances))
+    arrivals = arrivals_of(10.0, 0, 0, dropping, Scripted([0] * SAMPLES, chances))
     assert arrivals.counters(START - 1)["samples_lost"] == 0
     assert arrivals.counters(START + 20)["samples_lost"] == 0
     assert arrivals.counters(START + 60)["samples_lost"] == 2
@@ -163,8 +176,8 @@ def test_what_was_dropped_is_counted_as_lost() -> None:
 
 def test_the_past_is_the_same_whatever_was_asked_before() -> None:
     disturbance = Disturbance(0.2, 0.1, 0.1, 0.2, 35)
-    curious, patient = (Arrivals(START, 10.0, 3, 8, disturbance, np.random.default_rng(7)) for _ in range(2))
-    patient.newest(START + 10 * BLOCKS)
-    for now in range(START, START + 10 * FIRST_BLOCK + 5000, 137):
+    curious, patient = (arrivals_of(10.0, 3, 8, disturbance, np.random.default_rng(7)) for _ in range(2))
+    patient.newest(START + 10 * SAMPLES)
+    for now in range(START, START + 10 * BLOCK + 5000, 137):
         assert curious.newest(now) == patient.newest(now)
         assert curious.next_arrival(now) == patient.next_arrival(now)

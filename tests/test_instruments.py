@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rtagent import Schedule, ms
 from rtagent.instruments import HOOKS, Hooks, Instrument
-from rtagent.recorder import MOST_FAULTS, Fault, Recorder
+from rtagent.recorder import MOST_FAULTS, EpisodeRecord, Fault, Recorder
 from rtagent.series import Series
 from rtagent.summary import Summary
 
@@ -49,7 +49,16 @@ def test_a_summary_gives_the_quantiles(values: list[int]) -> None:
     assert min(values) <= summary.median <= summary.p90 <= summary.p99 <= summary.maximum
     below = sum(value <= summary.median for value in values)
     assert below >= len(values) / 2
-    assert summary.in_seconds()["median_s"] == pytest.approx(float(np.median(values)) / 1e9)
+    p90, p99 = np.quantile(values, [0.9, 0.99])
+    assert summary.in_seconds() == pytest.approx(
+        {
+            "count": len(values),
+            "median_s": float(np.median(values)) * 1e-9,
+            "p90_s": p90 * 1e-9,
+            "p99_s": p99 * 1e-9,
+            "max_s": max(values) * 1e-9,
+        }
+    )
 
 
 def test_a_summary_of_a_long_series_says_how_many_there_were() -> None:
@@ -182,6 +191,10 @@ def test_an_instrument_that_raises_in_every_hook_changes_nothing_in_a_run(caplog
     assert [each.total_reward for each in sabotaged.episodes] == [each.total_reward for each in plain.episodes]
     assert sabotaged.recorder.counters["instruments_removed"] > 0
     assert caplog.records
+
+
+def test_an_episode_lasts_from_its_beginning_to_its_end() -> None:
+    assert EpisodeRecord(0, 0, began=100, ended=350).duration == 250
 
 
 def test_a_fault_that_comes_again_is_counted_and_not_listed_again() -> None:

@@ -78,8 +78,9 @@ def test_a_correct_act_that_was_chosen_before_the_stimulus_was_seen_anticipates_
     reactions.chose()
     reactions.acted(STOP, 90, 120)
     reactions.observed([Stimulus(100)], 130)
-    episode = reactions.end([])
-    assert (episode.missed_reactions, episode.missed_responses, episode.anticipated) == (0, 0, 1)
+    # the second happens at the very moment at which the act is over
+    episode = reactions.end([Stimulus(120)])
+    assert (episode.missed_reactions, episode.missed_responses, episode.anticipated) == (0, 0, 2)
 
 
 def test_an_act_that_was_over_before_the_stimulus_does_not_anticipate_it() -> None:
@@ -93,11 +94,22 @@ def test_a_beginning_episode_knows_nothing_of_the_last() -> None:
     reactions = timer()
     reactions.observed([Stimulus(100)], 110)
     reactions.chose()
+    reactions.acted(STOP, 115, 125)
     first = reactions.end([])
+    reactions.begin()
+    assert reactions.end([Stimulus(120)]).anticipated == 0
     reactions.begin()
     assert list(reactions.acted(STOP, 120, 130)) == []
     assert reactions.end([]) == EpisodeReactions()
-    assert first.missed_responses == 1
+    assert (len(first.responses), first.missed_responses) == (1, 0)
+
+
+def test_a_stimulus_that_is_forgotten_by_a_beginning_episode_is_never_answered() -> None:
+    reactions = timer()
+    reactions.observed([Stimulus(100)], 110)
+    reactions.chose()
+    reactions.begin()
+    assert list(reactions.acted(STOP, 120, 130)) == []
 
 
 # Against a slow simulation

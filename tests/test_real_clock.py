@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
+import inspect
 import os
 import selectors
 import socket
@@ -206,16 +208,37 @@ def test_the_shortest_timeout_is_not_taken_for_none(
 
 
 @linux
+@pytest.mark.parametrize("looks", [0, 1])
 def test_a_timer_that_has_rung_is_not_reported_and_does_not_ring_again(
-    selector: selectors.BaseSelector, pipe: tuple[int, int]
+    selector: selectors.BaseSelector, pipe: tuple[int, int], looks: int
 ) -> None:
     read, write = pipe
     selector.register(read, selectors.EVENT_READ)
     assert selector.select(0.001) == []
-    assert selector.select(0) == []
+    assert [selector.select(0) for _ in range(looks)] == [[]] * looks
     threading.Timer(0.02, os.write, (write, b"x")).start()
     # without a timeout only the pipe may end the wait
     assert [key.fd for key, _ in selector.select(None)] == [read]
+
+
+@linux
+def test_a_timer_that_is_no_longer_waited_for_does_not_ring(
+    selector: selectors.BaseSelector, pipe: tuple[int, int]
+) -> None:
+    read, write = pipe
+    selector.register(read, selectors.EVENT_READ)
+    os.write(write, b"x")
+    assert selector.select(0.02)
+    os.read(read, 1)
+    threading.Timer(0.06, os.write, (write, b"x")).start()
+    assert [key.fd for key, _ in selector.select(None)] == [read]
+
+
+@linux
+def test_the_kernel_is_asked_not_to_delay_the_timers_of_a_real_run() -> None:
+    get_timer_slack = 30
+    clock.run(asyncio.sleep(0), "real")
+    assert ctypes.CDLL(None).prctl(get_timer_slack, 0, 0, 0, 0) == 1
 
 
 @linux
@@ -259,7 +282,7 @@ def test_a_real_run_inside_a_running_loop_is_refused() -> None:
         coroutine = asyncio.sleep(0)
         with pytest.raises(RuntimeError):
             clock.run(coroutine, "real")
-        coroutine.close()
+        assert inspect.getcoroutinestate(coroutine) == inspect.CORO_CLOSED
 
     asyncio.run(outer())
 

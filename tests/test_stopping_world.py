@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from math import pi
 
@@ -221,6 +222,14 @@ def test_the_task_refuses_devices_that_do_not_have_what_it_needs() -> None:
     Stopping(joint="elbow").bind({"elbow": joint.spec})
     with pytest.raises(SpecError, match="device named 'joint'; the scenario has arm"):
         Stopping().bind({"arm": joint.spec})
+
+
+@pytest.mark.parametrize(("kind", "name"), [("sensors", "stopped"), ("actuators", "motion")])
+def test_the_task_names_the_signal_that_a_device_lacks(kind: str, name: str) -> None:
+    spec = stopping_joint().spec
+    lacking = replace(spec, **{kind: {key: value for key, value in getattr(spec, kind).items() if key != name}})
+    with pytest.raises(SpecError, match=f"the {kind[:-1]} '{name}' of device 'joint', which has"):
+        Stopping().bind({"joint": lacking})
 
 
 def test_the_joint_of_the_thesis_turns_300_degrees_at_100_degrees_a_second() -> None:

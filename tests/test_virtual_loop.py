@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
+import inspect
 import logging
 import os
 import socket
@@ -336,6 +337,25 @@ def test_an_abandoned_generator_is_closed_in_the_loop() -> None:
         assert notes == ["closed"]
 
 
+def test_a_generator_that_is_left_at_the_end_of_a_run_is_closed() -> None:
+    kept: list[AsyncIterator[int]] = []
+    notes: list[str] = []
+
+    async def main() -> None:
+        async def numbers() -> AsyncIterator[int]:
+            try:
+                yield 1
+            finally:
+                await asyncio.sleep(0.001)
+                notes.append("closed")
+
+        kept.append(numbers())
+        await anext(kept[0])
+
+    virtually(main())
+    assert notes == ["closed"]
+
+
 def test_a_run_leaves_no_trace_in_the_interpreter() -> None:
     async def main() -> None:
         await asyncio.sleep(1)
@@ -490,7 +510,7 @@ def test_a_virtual_run_inside_a_running_loop_is_refused_and_the_outer_loop_goes_
         coroutine = inner()
         with pytest.raises(RuntimeError):
             clock.run(coroutine, "virtual")
-        coroutine.close()
+        assert inspect.getcoroutinestate(coroutine) == inspect.CORO_CLOSED
         await asyncio.sleep(0)
         return asyncio.get_running_loop().is_running()
 
@@ -531,6 +551,7 @@ def test_what_main_raises_is_raised_and_the_rest_is_cancelled() -> None:
         try:
             await asyncio.sleep(1000)
         finally:
+            await asyncio.sleep(0.5)
             notes.append("cancelled")
 
     async def main() -> None:

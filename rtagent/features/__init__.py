@@ -2,5 +2,6 @@
 
 from rtagent.features.coder import FeatureCoder
 from rtagent.features.tables import Binned, OneHot, Tabular
+from rtagent.features.tiles import TileCoding, Tilings
 
-__all__ = ["Binned", "FeatureCoder", "OneHot", "Tabular"]
+__all__ = ["Binned", "FeatureCoder", "OneHot", "Tabular", "TileCoding", "Tilings"]

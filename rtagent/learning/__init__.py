@@ -3,5 +3,16 @@
 from rtagent.learning.control import ExpectedSarsa, QLearning, Sarsa
 from rtagent.learning.learner import ControlLearner, Learner, PredictionLearner
 from rtagent.learning.prediction import TD
+from rtagent.learning.true_online import TrueOnlineSarsa, TrueOnlineTD
 
-__all__ = ["TD", "ControlLearner", "ExpectedSarsa", "Learner", "PredictionLearner", "QLearning", "Sarsa"]
+__all__ = [
+    "TD",
+    "ControlLearner",
+    "ExpectedSarsa",
+    "Learner",
+    "PredictionLearner",
+    "QLearning",
+    "Sarsa",
+    "TrueOnlineSarsa",
+    "TrueOnlineTD",
+]
