@@ -415,6 +415,34 @@ def test_a_device_raises_once_at_each_time_that_was_given(call: Call, rate: floa
     assert virtually(main()) == [False, False, True, False, True, False, False]
 
 
+@pytest.mark.parametrize("faults", [{"raise_at": (25 * ms,)}, {"disconnect": ((25 * ms, 35 * ms),)}])
+def test_a_trouble_begins_at_its_very_nanosecond(faults: dict[str, object]) -> None:
+    async def main() -> None:
+        device = fake(rate=0.0, **faults)
+        began = await opened(device)
+        await current().sleep_until(began + 25 * ms - 1)
+        await device.read(-1)
+        await current().sleep_until(began + 25 * ms)
+        with pytest.raises(DeviceError):
+            await device.read(-1)
+
+    virtually(main())
+
+
+def test_a_device_is_back_at_the_very_end_of_a_window() -> None:
+    async def main() -> None:
+        device = fake(rate=0.0, disconnect=((25 * ms, 35 * ms),))
+        began = await opened(device)
+        await current().sleep_until(began + 35 * ms - 1)
+        with pytest.raises(DisconnectedError):
+            await device.open()
+        await current().sleep_until(began + 35 * ms)
+        await device.open()
+        await device.read(-1)
+
+    virtually(main())
+
+
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
 def test_a_device_hangs_once_and_can_be_cancelled(call: Call) -> None:
     async def main() -> list[bool]:

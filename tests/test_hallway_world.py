@@ -11,7 +11,7 @@ from helpers import read_in_any_order, visible
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtagent import Observation, Sample, Stimulus, ms, second
+from rtagent import Observation, Sample, Spec, Stimulus, ms, second
 from rtagent.errors import SpecError
 from rtagent.experience import Outcome
 from rtagent.tasks import HallwayTask
@@ -325,6 +325,17 @@ def test_the_task_shows_the_wall_and_ends_at_the_goal() -> None:
     assert outcome.terminated
     assert outcome.reward == pytest.approx(-0.451)
     assert [task.answers(action, Stimulus(0)) for action in (UP, LEFT)] == [False, True]
+    assert task.state == {"wall_left": Spec.flag()}
+    assert list(task.actions) == ["up", "left"]
+
+
+def test_a_task_counts_the_rewards_of_an_episode_from_its_beginning() -> None:
+    task = HallwayTask()
+    for _ in range(2):
+        agent = world()
+        give(agent, [(0, LEFT)])
+        task.begin()
+        assert look(task, agent, 200 * ms).reward == -1.0
 
 
 def test_the_task_refuses_devices_that_do_not_have_what_it_needs() -> None:

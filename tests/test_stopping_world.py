@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from rtagent import Observation, Sample, Stimulus, ms, second
+from rtagent import Observation, Sample, Spec, Stimulus, ms, second
 from rtagent.errors import SpecError
 from rtagent.experience import Outcome
 from rtagent.tasks import Stopping
@@ -161,8 +161,9 @@ def test_the_thesis_counts_microseconds_in_emergency() -> None:
 
 def test_onsets_are_uniform_and_belong_to_the_stream_of_the_episode() -> None:
     onsets = []
+    joint = stopping_joint().world
     for seed in range(400):
-        joint = world(seed)
+        joint.begin(START, np.random.default_rng(seed))
         (stimulus,) = joint.stimuli(START, END)
         onsets.append((stimulus.time - START) / ms)
     assert stats.kstest(onsets, "uniform", args=(500, 1000)).pvalue > 1e-4
@@ -205,6 +206,7 @@ def test_the_task_shows_the_emergency_and_ends_with_the_joint_at_rest() -> None:
     assert outcome.reward == pytest.approx(-0.05)
     assert [task.answers(action, Stimulus(0)) for action in (MOVE, STOP)] == [False, True]
     assert list(task.actions) == ["move", "stop"]
+    assert task.state == {"emergency": Spec.flag()}
 
 
 def test_a_task_counts_the_rewards_of_an_episode_from_its_beginning() -> None:

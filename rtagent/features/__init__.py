@@ -1,7 +1,18 @@
 """Feature coders: from a state to the indices (and values) of its active features."""
 
 from rtagent.features.coder import FeatureCoder
+from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva, SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
 from rtagent.features.tiles import TileCoding, Tilings
 
-__all__ = ["Binned", "FeatureCoder", "OneHot", "Tabular", "TileCoding", "Tilings"]
+__all__ = [
+    "Binned",
+    "FeatureCoder",
+    "KanervaCoding",
+    "OneHot",
+    "SelectiveKanerva",
+    "SparseMemory",
+    "Tabular",
+    "TileCoding",
+    "Tilings",
+]
