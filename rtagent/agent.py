@@ -99,12 +99,13 @@ class Agent:
         """Choose an action from the newest observation; raise `ScheduleError` where there is none newer."""
         if not self._fresh or self.policy is None or self._features is None:
             raise ScheduleError("choose needs an observation newer than the last choice, and a policy.")
-        values = cast("ControlLearner", self.learner).action_values(self._features)
+        values = self.learner.action_values(self._features)  # type: ignore[union-attr]  # control was checked before
         action, probability = self.policy.choose(values, self.rng)
-        self.chosen = Decision(self._features, self._observed_at, action, probability)
+        chosen = self.chosen = Decision(self._features, self._observed_at, action, probability)
         self._fresh = False
-        self._complete(action)
-        return self.chosen
+        if self._incomplete is not None:
+            self._complete(action)
+        return chosen
 
     def _complete(self, next_action: int | None) -> None:
         if self._incomplete is not None:

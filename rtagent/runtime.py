@@ -17,7 +17,7 @@ from rtagent.costs import Costs
 from rtagent.device import Episodic
 from rtagent.errors import ScheduleError
 from rtagent.experience import Outcome
-from rtagent.guard import HangGuard
+from rtagent.guard import NEVER, HangGuard
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
 from rtagent.pacing import Pacer
@@ -102,7 +102,6 @@ class Runtime:
         self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
-        self._limited_episodes = bool(limits.episode_time or limits.episode_steps)
         agent.keeps_transitions = schedule.learns
 
     # What a chooser can ask (schedule.Situation)
@@ -165,6 +164,8 @@ class Runtime:
         self._reactions.begin()
         self._episode = EpisodeRecord(trial, episode, now)
         self._over = self._changed = False
+        self._latest = now + (self._limits.episode_time or NEVER)
+        self._last_step = (self._limits.episode_steps or NEVER) - 1
         self._observed_at = now
         if self._idling:
             self._idling.begin(now)
@@ -204,7 +205,7 @@ class Runtime:
         observation, stimuli = await self._senses.observe()
         now = observation.time
         outcome = self._task.interpret(observation)
-        if self._limited_episodes:
+        if now >= self._latest or self._episode.steps >= self._last_step:
             outcome = self._limited(outcome, now)
         self._episode.total_reward += outcome.reward
         self._observed_at = now
@@ -231,16 +232,18 @@ class Runtime:
             self._hooks.note("chose", decision.action, decision.probability, end)
 
     async def _act(self) -> None:
-        start, decision, sent = self._mark, self._agent.chosen, {}
+        start, decision, sent, delivered = self._mark, self._agent.chosen, {}, True
         if decision is None or decision.action is None:
             raise ScheduleError("act comes before anything was chosen: put observe and choose before it.")
         if self._costs:
             await self._charge(ACT)
         for name, command in self._task.commands(decision.action).items():
-            sent[name] = await self._devices[name].act(command)
+            taken = sent[name] = await self._devices[name].act(command)
+            delivered = delivered and taken is not None
         end = self._done(ACT)
-        if None not in sent.values():
-            self._changed = self._changed or not self._agent.repeats_action
+        if delivered:
+            if self._idling is not None:
+                self._changed = self._changed or not self._agent.repeats_action
             self._agent.acted()
             reactions = self._reactions.acted(decision.action, start, end)
             if "acted" in self._heard:

@@ -143,6 +143,13 @@ def test_the_first_sample_after_a_long_silence_is_not_slept_through() -> None:
     assert now == START + 10 * 2 * BLOCK
 
 
+def test_samples_that_are_very_late_do_not_have_to_be_drawn_all_at_once() -> None:
+    disturbance = Disturbance(0.0, 0.0, 0.0, late=1.0, lateness=10 * 100 * SAMPLES)
+    arrivals = arrivals_of(10.0, 0, 0, disturbance, Scripted([0] * SAMPLES, np.full((SAMPLES, 4), 0.5)))
+    assert START < arrivals.next_arrival(START) <= START + disturbance.lateness
+    assert arrivals.newest(START) is None
+
+
 @given(streams(), st.integers(0, 6 * BLOCK))
 @settings(max_examples=30, deadline=None)
 def test_what_was_doubled_and_overtaken_is_counted(stream: tuple[Arrivals, Plan, float], moment: int) -> None:

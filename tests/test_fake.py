@@ -535,7 +535,14 @@ def test_a_device_that_was_unplugged_while_nobody_looked_has_to_be_opened_again(
 
 @pytest.mark.parametrize(
     "settings",
-    [{"rate": -1.0}, {"rate": 1.0, "delay": -1}, {"rate": 1.0, "jitter": -1}, {"jitter": 1}],
+    [
+        {"rate": -1.0},
+        {"rate": math.nan},
+        {"rate": math.inf},
+        {"rate": 1.0, "delay": -1},
+        {"rate": 1.0, "jitter": -1},
+        {"jitter": 1},
+    ],
 )
 def test_a_sampling_that_makes_no_sense_is_refused(settings: dict[str, float]) -> None:
     with pytest.raises(SpecError, match="sampling"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -120,6 +121,11 @@ def test_a_whole_quantity_survives_being_written_and_read(quantity: Quantity, va
 @settings(max_examples=300, deadline=None)
 def test_a_quantity_survives_being_written_and_read(quantity: Quantity, value: float) -> None:
     assert quantity.parse(quantity.format(value)) == value
+
+
+@pytest.mark.parametrize("value", [np.float64(0.1), np.float32(0.5), 3])
+def test_numbers_of_every_kind_survive_being_written_and_read(value: float) -> None:
+    assert ANGLE.parse(ANGLE.format(value)) == value
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import contextlib
 import contextvars
 import inspect
 import logging
+import math
 import os
 import socket
 import sys
@@ -215,6 +216,26 @@ def test_a_timeout_that_is_not_reached_costs_nothing() -> None:
             return await elapsed(asyncio.sleep(0.2))
 
     assert virtually(main()) == 200 * ms
+
+
+def test_a_timeout_without_end_never_comes() -> None:
+    async def main() -> int:
+        async with asyncio.timeout(math.inf):
+            return await elapsed(asyncio.wait_for(asyncio.sleep(0.01), math.inf))
+
+    assert virtually(main()) == 10 * ms
+
+
+def test_a_sleep_without_end_can_be_cancelled_and_is_nothing_to_wait_for() -> None:
+    async def main() -> int:
+        task = asyncio.create_task(asyncio.sleep(math.inf))
+        taken = await elapsed(asyncio.wait([task], timeout=0.01))
+        task.cancel()
+        return taken
+
+    assert virtually(main()) == 10 * ms
+    with pytest.raises(RunStuckError):
+        virtually(asyncio.sleep(math.inf))
 
 
 def test_wait_returns_at_the_first_result_or_at_its_timeout() -> None:
