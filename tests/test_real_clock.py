@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 
 import pytest
 from hypothesis import given, settings
@@ -46,25 +47,25 @@ def pipe() -> Iterator[tuple[int, int]]:
     os.close(write)
 
 
-async def fastest_nap(duration: float, tries: int) -> int:
-    """Return the shortest time (ns) that a sleep of `duration` seconds took."""
+async def usual_nap(duration: float, tries: int) -> float:
+    """Return the median of the times (ns) that sleeps of `duration` seconds took."""
     taken = []
     for _ in range(tries):
         began = now()
         await asyncio.sleep(duration)
         taken.append(now() - began)
-    return min(taken)
+    return median(taken)
 
 
 @linux
 def test_short_sleeps_are_much_shorter_than_on_a_loop_of_asyncio() -> None:
-    fine = clock.run(fastest_nap(1e-4, 50), "real")
-    coarse = asyncio.run(fastest_nap(1e-4, 50))
-    assert fine < coarse / 2
+    fine = clock.run(usual_nap(1e-4, 50), "real")
+    coarse = asyncio.run(usual_nap(1e-4, 50))
+    assert fine < 0.7 * coarse
 
 
 def test_sleeps_are_as_long_as_they_should_be_in_relation_to_each_other() -> None:
-    short, long = clock.run(fastest_nap(0.002, 10), "real"), clock.run(fastest_nap(0.02, 3), "real")
+    short, long = clock.run(usual_nap(0.002, 10), "real"), clock.run(usual_nap(0.02, 3), "real")
     assert 5 < long / short < 15
 
 

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rtagent.errors import UnitError
@@ -159,6 +159,9 @@ def test_the_example_in_an_error_can_be_used(quantity: Quantity) -> None:
 
 
 @given(st.sampled_from(ALL), SCHEMA_TEXT)
+@example(TIME, "7\N{GREEK SMALL LETTER MU}s")
+@example(TIME, "5.ms")
+@example(TIME, "ms")
 @settings(max_examples=300, deadline=None)
 def test_the_schema_accepts_what_is_written_with_a_unit_and_nothing_that_is_refused(
     quantity: Quantity, text: str
