@@ -68,7 +68,7 @@ class Outcome(NamedTuple):
 
 
 class FeatureVector(NamedTuple):
-    """Features of one state: the active `indices`, and their `values` (None: all are 1)."""
+    """Features of one state: the active `indices`, each once, and their `values` (None: all are 1)."""
 
     indices: IndexArray
     values: FloatArray | None = None

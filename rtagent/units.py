@@ -50,7 +50,7 @@ class Quantity:
         """Write `value` so that `parse` returns exactly it again, in the largest unit that reads well."""
         base = next(iter(self.units))
         if not self.whole or value == 0:
-            return f"{value!r}{base}"
+            return f"{0 if self.whole else float(value)!r}{base}"
         unit, scale = max(
             ((unit, int(scale)) for unit, scale in self.units.items() if value % int(scale) == 0),
             key=lambda item: item[1],
@@ -75,7 +75,8 @@ class Quantity:
 
     def _expected(self, number: object = 50) -> str:
         unit = list(self.units)[min(2, len(self.units) - 1)]
-        return f'a {self.kind} such as "{number}{unit}"'
+        article = "an" if self.kind[0] in "aeiou" else "a"
+        return f'{article} {self.kind} such as "{number}{unit}"'
 
     def __get_pydantic_core_schema__(self, source: object, handler: Callable[[Any], Any]) -> Any:
         """Tell pydantic how scenario files are read (pydantic is imported only where they are)."""
@@ -88,7 +89,8 @@ class Quantity:
 
     def __get_pydantic_json_schema__(self, schema: object, handler: object) -> dict[str, Any]:
         """Describe the written form to editors."""
-        units = "|".join(re.escape(unit) for unit in self.units)
+        greek = [unit.replace("µ", "μ") for unit in self.units if "µ" in unit]  # as keyboards write it
+        units = "|".join(re.escape(unit) for unit in [*self.units, *greek])
         pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
         description = f"A {self.kind}: a number and one of {', '.join(self.units)}."
         return {"anyOf": [{"type": "string", "pattern": pattern}, {"const": 0}], "description": description}

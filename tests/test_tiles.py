@@ -99,6 +99,12 @@ def test_values_outside_are_clipped_and_counted() -> None:
     assert coder.clipped["shoulder"] == 2
 
 
+def places_of(coder: TileCoding, tiles: np.ndarray) -> np.ndarray:
+    """Return where the coder's hash puts each tile."""
+    assert coder._hash is not None
+    return coder._hash(tiles)
+
+
 def test_hashing_spreads_over_the_memory_and_counts_what_is_shared() -> None:
     rng = np.random.default_rng(0)
     layer = Tilings(8, 8)
@@ -106,12 +112,25 @@ def test_hashing_spreads_over_the_memory_and_counts_what_is_shared() -> None:
     owners: dict[int, set[int]] = {}
     for _ in range(2000):
         state = tuple(rng.uniform(spec.low, spec.high) for spec in STATE.values())
-        for tile, place in zip(exact.encode(state).indices, hashed.encode(state).indices, strict=True):
-            owners.setdefault(int(place), set()).add(int(tile))
+        tiles = exact.encode(state).indices
+        places = places_of(hashed, tiles)
+        assert set(places.tolist()) == set(hashed.encode(state).indices.tolist())
+        for tile, place in zip(tiles.tolist(), places.tolist(), strict=True):
+            owners.setdefault(place, set()).add(tile)
     assert hashed.size == 1000
     assert len(owners) > 950, "most of the memory is used"
     assert hashed.collisions == sum(len(tiles) - 1 for tiles in owners.values())
     assert max(len(tiles) for tiles in owners.values()) < 25, "no place is crowded: 5,832 tiles on 1,000 places"
+
+
+def test_tilings_that_share_a_feature_add_up_in_it() -> None:
+    exact = TileCoding(state=STATE, layers=(Tilings(16, 4),))
+    hashed = TileCoding(state=STATE, layers=(Tilings(16, 4),), memory=12, bias=True)
+    features = hashed.encode((0.0, 0.5, 1.0))
+    assert features.values is not None
+    assert features.values.sum() == len(exact.encode((0.0, 0.5, 1.0)).indices) + 1
+    assert len(set(features.indices.tolist())) == len(features.indices) <= 13
+    assert features.values[features.indices == 12].tolist() == [1.0], "the bias is nobody's to share"
 
 
 def test_a_large_memory_is_shared_by_few() -> None:

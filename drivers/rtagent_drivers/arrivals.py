@@ -62,11 +62,10 @@ class Arrivals:
     def next_arrival(self, now: int) -> int:
         """Return when the next sample arrives after `now`, or when to look again where none is known to."""
         place = self._place(now)
-        if place == len(self._times):
+        if place == len(self._times) or self._times[place] >= self._horizon():
             self._extend(self._drawn)
-        while place < len(self._times) and self._times[place] >= self._horizon():
-            self._extend(self._drawn)  # what is not drawn yet could arrive before
-        return self._times[place] if place < len(self._times) else self._horizon()
+        # what is not drawn yet could arrive before what is
+        return min([*self._times[place : place + 1], self._horizon()])
 
     def counters(self, now: int) -> Mapping[str, int]:
         """Return what happened to the samples that were to arrive until `now`."""

@@ -10,6 +10,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import ClassVar, Protocol
 
 from numpy.random import Generator
@@ -63,8 +64,8 @@ class Sampling:
     jitter: Duration = 0
 
     def __post_init__(self) -> None:
-        if self.rate < 0 or self.delay < 0 or self.jitter < 0:
-            raise SpecError("sampling has a negative rate, delay or jitter: give 0 or more.")
+        if not 0 <= self.rate < inf or self.delay < 0 or self.jitter < 0:
+            raise SpecError("sampling has a rate, delay or jitter that is negative or infinite: give 0 or more.")
         if self.jitter and not self.rate:
             raise SpecError("sampling.jitter needs sampling.rate: a world read as of now has no arrivals.")
 

@@ -12,6 +12,7 @@ import sys
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from contextvars import Context
+from math import inf
 from typing import Any, NoReturn, TypeVar, TypeVarTuple
 from weakref import WeakSet
 
@@ -80,6 +81,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
         """Call `callback` after `delay` seconds."""
+        if delay == inf:
+            return self._never(callback, *args, context=context)
         return self.call_at_ns(self.now + round(delay * 1e9), callback, *args, context=context)
 
     def call_at(
@@ -90,7 +93,15 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         context: Context | None = None,
     ) -> asyncio.TimerHandle:
         """Call `callback` when `time()` is `when`, in seconds."""
+        if when == inf:
+            return self._never(callback, *args, context=context)
         return self.call_at_ns(round(when * 1e9), callback, *args, context=context)
+
+    def _never(
+        self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.TimerHandle:
+        """Return a timer that will not fire, and is not waited for."""
+        return asyncio.TimerHandle(inf, callback, args, self, context)
 
     def call_at_ns(
         self, when: int, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None

@@ -72,8 +72,14 @@ class TileCoding:
         unit = self._cube(state)
         tiles = np.concatenate([layer(unit) for layer in self._layers])
         if self._hash is not None:
-            tiles = self._hash(tiles)
+            return self._hashed(tiles)
         return FeatureVector(np.concatenate((tiles, self._bias)))
+
+    def _hashed(self, tiles: NDArray[np.int64]) -> FeatureVector:
+        """Return hashed features; one that several tilings came to share has their number as its value."""
+        assert self._hash is not None
+        places, counts = np.unique(np.concatenate((self._hash(tiles), self._bias)), return_counts=True)
+        return FeatureVector(places, counts.astype(np.float64) if counts.max() > 1 else None)
 
     @property
     def clipped(self) -> Mapping[str, int]:
