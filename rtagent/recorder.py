@@ -15,7 +15,10 @@ MOST_FAULTS = 100
 
 @dataclass
 class EpisodeRecord:
-    """One episode: its reward, steps (transitions) and length (ns), and its reactions."""
+    """One episode: its reward, steps (transitions) and length (ns), and its reactions.
+
+    One that a fault or a signal broke off is not `finished`; `ended` is then its last observation.
+    """
 
     trial: int
     episode: int
@@ -24,6 +27,7 @@ class EpisodeRecord:
     total_reward: float = 0.0
     steps: int = 0
     truncated: bool = False
+    finished: bool = False
     reactions: EpisodeReactions = field(default_factory=EpisodeReactions)
 
     @property

@@ -149,4 +149,5 @@ def _episode_dict(episode: EpisodeRecord) -> dict[str, Any]:
         "missed": episode.reactions.missed_responses,
         "anticipated": episode.reactions.anticipated,
         "truncated": episode.truncated,
+        "finished": episode.finished,
     }

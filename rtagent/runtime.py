@@ -114,7 +114,7 @@ class Runtime:
     @property
     def observed_at(self) -> int:
         """When the newest observation was made, in ns."""
-        return self._observed_at
+        return self._episode.ended
 
     @property
     def queue_length(self) -> int:
@@ -162,11 +162,11 @@ class Runtime:
         self._task.begin()
         self._agent.begin()
         self._reactions.begin()
-        self._episode = EpisodeRecord(trial, episode, now)
+        self._episode = EpisodeRecord(trial, episode, now, now, reactions=self._reactions.episode)
+        self._recorder.episodes.append(self._episode)
         self._over = self._changed = False
         self._latest = now + (self._limits.episode_time or NEVER)
         self._last_step = (self._limits.episode_steps or NEVER) - 1
-        self._observed_at = now
         if self._idling:
             self._idling.begin(now)
         self._pacer: Pacer | None = None
@@ -180,12 +180,11 @@ class Runtime:
         self._tell()
         now = self._now()
         unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
-        self._episode.ended = self._observed_at
-        self._episode.reactions = self._reactions.end(unseen)
+        self._reactions.end(unseen)
+        self._episode.finished = True
         if self._pacer:
             self._recorder.counters["overruns"] += self._pacer.overruns
             self._recorder.counters["skipped_periods"] += self._pacer.skipped
-        self._recorder.episodes.append(self._episode)
         self._hooks.call("episode_ended", self._episode)
 
     async def _wait_for_cycle(self) -> None:
@@ -208,7 +207,7 @@ class Runtime:
         if now >= self._latest or self._episode.steps >= self._last_step:
             outcome = self._limited(outcome, now)
         self._episode.total_reward += outcome.reward
-        self._observed_at = now
+        self._episode.ended = now
         if self._agent.observe(outcome, now) is not None:
             self._episode.steps += 1
         if stimuli:

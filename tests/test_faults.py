@@ -332,3 +332,13 @@ def test_a_signal_stops_a_run_safely(number: signal.Signals, tmp_path: Path) -> 
     assert f"the run was stopped by {number.name}" in stderr
     assert "All devices were made safe" in stderr
     assert '"fatal": true' in out.read_text(), "the results so far are kept"
+
+
+def test_what_was_seen_of_an_episode_that_was_broken_off_is_kept() -> None:
+    with pytest.raises(RunError) as caught:
+        run_stopping(joint=with_faults(disconnect=((300 * ms,),)), supervision={"joint": BUDGET}, delay=10 * ms)
+    (episode,) = caught.value.result.episodes
+    assert not episode.finished
+    assert episode.steps > 20
+    assert 250 * ms < episode.duration <= 700 * ms
+    assert caught.value.result.as_dict()["trials"][0]["episodes"][0]["finished"] is False

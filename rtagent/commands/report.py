@@ -70,7 +70,7 @@ def _bar(count: int, most: int) -> str:
 
 
 def _print_returns(console: Console, result: Result) -> None:
-    returns = [episode.total_reward for episode in result.episodes]
+    returns = [episode.total_reward for episode in result.episodes if episode.finished]
     if returns:
         last = returns[-10:]
         console.print(
