@@ -61,7 +61,6 @@ class Hooks:
             name: [hook for instrument in instruments if (hook := _own_hook(instrument, name)) is not None]
             for name in HOOKS
         }
-        self.any = any(self._calls.values())
         self.heard = frozenset(name for name, calls in self._calls.items() if calls)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
@@ -73,14 +72,11 @@ class Hooks:
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
         for name, args in self.noted:
-            self._call(name, args)
+            self.call(name, *args)
         self.noted.clear()
 
     def call(self, name: str, *args: Any) -> None:
         """Call the hook `name` of every instrument, now."""
-        self._call(name, args)
-
-    def _call(self, name: str, args: tuple[Any, ...]) -> None:
         for hook in self._calls[name]:
             try:
                 hook(*args)

@@ -186,7 +186,7 @@ class _Life:
 
     async def _make_safe(self) -> None:
         devices = list(self._devices.values())
-        self._not_safe = await make_all_safe(devices, self._clock) + await close_all(devices, self._clock)
+        self._not_safe = await make_all_safe(devices) + await close_all(devices)
 
     def _drain(self, end: _End | None) -> None:
         """Learn what is still in the queue: all on a normal end, else for a bounded time."""

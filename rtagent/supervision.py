@@ -45,6 +45,30 @@ class DeadDeviceError(DeviceError):
     """A device failed for longer than its retry budget."""
 
 
+class _Health:
+    """How one kind of call of a device fares: since when it fails (None: it works), and when to try it again."""
+
+    def __init__(self, timeout: int) -> None:
+        self._timeout = timeout
+        self.failing_since: int | None = None
+        self.retry_at = 0
+        self._pause = FIRST_PAUSE
+        self.last_error = ""
+
+    def failed(self, now: int, error: str, hung: bool) -> None:
+        """Note a failure; a call that hung has used up the budget."""
+        if self.failing_since is None:
+            self.failing_since = now - (self._timeout if hung else 0)
+            self._pause = FIRST_PAUSE
+        self.last_error = error
+        self.retry_at = now + self._pause
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+
+    def spent(self, now: int) -> int:
+        """Return how long (ns) it has been failing."""
+        return 0 if self.failing_since is None else now - self.failing_since
+
+
 class SupervisedDevice:
     """A device with its newest valid sample, its counters, and its health."""
 
@@ -66,10 +90,8 @@ class SupervisedDevice:
         self._stimulating = device if isinstance(device, Stimulating) else None
         self._foreseeing = device if isinstance(device, Foreseeing) else None
         self._counts: Counter[str] = Counter()
-        self._failing_since: int | None = None
-        self._last_error = ""
-        self._retry_at = 0
-        self._pause = FIRST_PAUSE
+        self._reads, self._acts = _Health(supervision.timeout), _Health(supervision.timeout)
+        self._troubled = False
         self._reopening: asyncio.Task[None] | None = None
         self.sample: Sample | None = None
         self.sequence = -1
@@ -92,24 +114,26 @@ class SupervisedDevice:
 
     async def read(self, newer_than: int) -> bool:
         """Take the newest sample; say whether it is new. Errors are counted; raises `DeadDeviceError`."""
-        if self._failing_since is not None and not self._may_retry():
+        reads = self._reads
+        if self._troubled and not self._may_call(reads):
             return False
-        self._guard.arm(self._budget(), self._reading)
+        self._guard.arm(self._budget(reads), self._reading)
         try:
             sample = await self.device.read(newer_than)
         except BaseException as error:
-            self._failed("read", self._guard.explained(error))
+            self._failed("read", reads, self._guard.explained(error))
             return False
         finally:
             self._guard.disarm()
-        self._failing_since = None
+        if self._troubled:
+            self._recovered(reads)
         return self._accept(sample)
 
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample; say whether there is one."""
-        if self._failing_since is not None:
+        if self._reads.failing_since is not None:
             now = self._clock.now()
-            await self._clock.sleep_until(min(max(self._retry_at, now + FIRST_PAUSE), now + limit))
+            await self._clock.sleep_until(min(max(self._reads.retry_at, now + FIRST_PAUSE), now + limit))
             return await self.read(-1)
         self._guard.arm(limit, self._reading)
         try:
@@ -122,7 +146,7 @@ class SupervisedDevice:
             self._guard.disarm()
         if isinstance(failure, TimeoutError):
             return await self.read(-1)
-        self._failed("read", failure)
+        self._failed("read", self._reads, failure)
         return False
 
     def take(self, reading: asyncio.Task[Sample]) -> bool:
@@ -131,24 +155,26 @@ class SupervisedDevice:
         if error is None:
             return self._accept(reading.result())
         if isinstance(error, Exception):
-            self._failed("read", error)
+            self._failed("read", self._reads, error)
         return False
 
     @property
     def failing(self) -> bool:
-        """Whether the last call failed."""
-        return self._failing_since is not None
+        """Whether the last read failed."""
+        return self._reads.failing_since is not None
 
     async def act(self, command: Command) -> Command | None:
         """Send a command; return what was sent, or None where it could not be (counted)."""
-        if self._failing_since is None or self._may_retry():
-            self._guard.arm(self._budget(), self._acting)
+        acts = self._acts
+        if not self._troubled or self._may_call(acts):
+            self._guard.arm(self._budget(acts), self._acting)
             try:
                 sent = await self.device.act(command)
             except BaseException as error:
-                self._failed("act", self._guard.explained(error))
+                self._failed("act", acts, self._guard.explained(error))
             else:
-                self._failing_since = None
+                if self._troubled:
+                    self._recovered(acts)
                 return sent
             finally:
                 self._guard.disarm()
@@ -176,8 +202,9 @@ class SupervisedDevice:
 
     def next_event(self, now: int) -> int | None:
         """Return when a fake changes next, or when a failing device is tried again; None for never."""
-        if self._failing_since is not None:
-            return max(self._retry_at, now + FIRST_PAUSE)
+        retries = [each.retry_at for each in (self._reads, self._acts) if each.failing_since is not None]
+        if retries:
+            return max(min(retries), now + FIRST_PAUSE)
         return self._foreseeing.next_event(now) if self._foreseeing else None
 
     async def make_safe(self) -> None:
@@ -196,39 +223,41 @@ class SupervisedDevice:
         own = self.device.counters if isinstance(self.device, Counting) else {}
         return {name: count for name, count in (Counter(own) + self._counts).items() if count}
 
-    def _budget(self) -> int:
+    def _budget(self, calls: _Health) -> int:
         """Return how long (ns) a call may take: what is left of the retry budget."""
         timeout = self.supervision.timeout
-        if self._failing_since is not None:
-            timeout = max(timeout - (self._clock.now() - self._failing_since), FIRST_PAUSE)
-        return timeout
+        if calls.failing_since is None:
+            return timeout
+        return max(timeout - calls.spent(self._clock.now()), FIRST_PAUSE)
 
-    def _may_retry(self) -> bool:
+    def _may_call(self, calls: _Health) -> bool:
+        """Say whether such a call may be made; raise `DeadDeviceError` where either kind has used up its budget."""
         now = self._clock.now()
-        since = self._failing_since if self._failing_since is not None else now
-        if now - since >= self.supervision.timeout:
-            raise DeadDeviceError(
-                f"device {self.name!r} has not answered for {describe(now - since)}, "
-                f"its retry budget is {describe(self.supervision.timeout)}; last error: {self._last_error}."
-            )
+        for each in (self._reads, self._acts):
+            if each.spent(now) >= self.supervision.timeout:
+                raise DeadDeviceError(
+                    f"device {self.name!r} has not answered for {describe(each.spent(now))}, "
+                    f"its retry budget is {describe(self.supervision.timeout)}; last error: {each.last_error}."
+                )
+        if calls.failing_since is None:
+            return True
         if self._reopening is not None and not self._reopening.done():
             return False
-        if now < self._retry_at:
+        if now < calls.retry_at:
             return False
         self._counts["retries"] += 1
         return True
 
-    def _failed(self, verb: str, error: Exception) -> None:
-        now = self._clock.now()
-        self._last_error = f"{verb} raised {error!r}"
+    def _recovered(self, calls: _Health) -> None:
+        calls.failing_since = None
+        self._troubled = any(each.failing_since is not None for each in (self._reads, self._acts))
+
+    def _failed(self, verb: str, calls: _Health, error: Exception) -> None:
+        said = f"{verb} raised {error!r}"
         self._counts[f"{verb}_errors"] += 1
-        self._report(self.name, self._last_error)
-        if self._failing_since is None:
-            hung = self.supervision.timeout if isinstance(error, TimeoutError) else 0
-            self._failing_since = now - hung
-            self._pause = FIRST_PAUSE
-        self._retry_at = now + self._pause
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        self._report(self.name, said)
+        calls.failed(self._clock.now(), said, hung=isinstance(error, TimeoutError))
+        self._troubled = True
         if isinstance(error, DisconnectedError) and (self._reopening is None or self._reopening.done()):
             self._reopening = asyncio.get_running_loop().create_task(self._reopen())
 
@@ -278,21 +307,20 @@ def _plain(spec: Spec) -> bool:
     return spec.shape == () and spec.dtype != "int"
 
 
-async def make_all_safe(devices: Sequence[SupervisedDevice], clock: Clock) -> list[str]:
+async def make_all_safe(devices: Sequence[SupervisedDevice]) -> list[str]:
     """Make every device safe, all at once, each within a second; return a sentence for each that failed."""
-    return await _each(devices, lambda device: device.make_safe(), "could not be made safe", clock)
+    return await _each(devices, lambda device: device.make_safe(), "could not be made safe")
 
 
-async def close_all(devices: Sequence[SupervisedDevice], clock: Clock) -> list[str]:
+async def close_all(devices: Sequence[SupervisedDevice]) -> list[str]:
     """Close every device, all at once, each within a second; return a sentence for each that failed."""
-    return await _each(devices, lambda device: device.device.close(), "could not be closed", clock)
+    return await _each(devices, lambda device: device.device.close(), "could not be closed")
 
 
 async def _each(
     devices: Sequence[SupervisedDevice],
     call: Callable[[SupervisedDevice], Awaitable[None]],
     failure: str,
-    clock: Clock,
 ) -> list[str]:
     tasks = {asyncio.ensure_future(_call(call, device)): device for device in devices}
     if not tasks:
@@ -303,7 +331,7 @@ async def _each(
     sentences = [
         f"device {tasks[task].name!r} {failure}: {error!r}."
         for task in done
-        if (error := task.exception()) is not None
+        if (error := asyncio.CancelledError() if task.cancelled() else task.exception()) is not None
     ]
     return sentences + [
         f"device {tasks[task].name!r} {failure} within {describe(SAFE_TIMEOUT)}: it does not answer."

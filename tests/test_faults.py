@@ -342,3 +342,39 @@ def test_what_was_seen_of_an_episode_that_was_broken_off_is_kept() -> None:
     assert episode.steps > 20
     assert 250 * ms < episode.duration <= 700 * ms
     assert caught.value.result.as_dict()["trials"][0]["episodes"][0]["finished"] is False
+
+
+class Deaf(FakeDevice):
+    """Can be read for ever, but takes no command after the first ten."""
+
+    commands = 0
+
+    async def act(self, command: Command) -> Command:
+        self.commands += 1
+        if self.commands > 10:
+            raise DeviceError("the bus does not take the command")
+        return await super().act(command)
+
+
+@pytest.mark.parametrize("clock_name", ["real", "virtual"])
+def test_a_device_that_answers_but_cannot_be_commanded_ends_the_run(clock_name: clock.ClockName) -> None:
+    joint = Deaf(stopping_joint().world)
+    with pytest.raises(RunError, match="does not take the command") as caught:
+        run_stopping(joint=joint, delay=5 * ms, supervision={"joint": BUDGET}, episodes=50, clock_name=clock_name)
+    assert caught.value.result.device_counters["joint"]["commands_not_sent"] >= 3
+    assert is_at_rest(joint)
+
+
+class CancelsItself(FakeDevice):
+    async def make_safe(self) -> None:
+        raise asyncio.CancelledError
+
+    async def close(self) -> None:
+        self.closed = True
+
+
+def test_a_device_whose_stop_is_cancelled_is_told_and_still_closed() -> None:
+    joint = CancelsItself(stopping_joint().world)
+    result = run_stopping(joint=joint, episodes=1)
+    assert result.not_safe == ["device 'joint' could not be made safe: CancelledError()."]
+    assert joint.closed

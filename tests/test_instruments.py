@@ -103,7 +103,7 @@ def test_every_hook_reaches_every_instrument_that_has_it() -> None:
     hooks.call("reacted", None)
     hooks.call("component", "act", 1, 2)
     assert first.got == second.got == [(1, 0.5, 7), ("act", 1, 2)]
-    assert hooks.any
+    assert hooks.heard
 
 
 def test_instruments_may_come_from_a_generator() -> None:
@@ -115,7 +115,7 @@ def test_instruments_may_come_from_a_generator() -> None:
 
 @pytest.mark.parametrize("instruments", [[], [object()], [Instrument()], [type("Empty", (Instrument,), {})()]])
 def test_without_hooks_there_is_nothing_to_call(instruments: Sequence[object]) -> None:
-    assert not Hooks(instruments).any
+    assert not Hooks(instruments).heard
 
 
 def test_a_hook_that_raises_is_removed_and_logged_and_the_others_go_on(caplog: pytest.LogCaptureFixture) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
+from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, State
 
 
@@ -19,3 +21,16 @@ class FeatureCoder(Protocol):
 
     def encode(self, state: State) -> FeatureVector:
         """Return the features of `state`; raise `SpecError` where a value is outside its range."""
+
+
+def parts_of(signal: str, parts: int | Mapping[str, int], key: str) -> int:
+    """Return into how many parts a signal is cut, by the setting `key`: a number for all, or one for each by name.
+
+    Raises `SpecError` where there is none for this signal, or it is below 1.
+    """
+    if isinstance(parts, Mapping) and signal not in parts:
+        raise SpecError(f"{key} has no entry for signal {signal!r}: add one.")
+    count = parts[signal] if isinstance(parts, Mapping) else parts
+    if count < 1:
+        raise SpecError(f"signal {signal!r} has {count} {key}: give at least 1.")
+    return count

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, State
+from rtagent.features.coder import parts_of
 from rtagent.specs import Spec
 
 
@@ -97,7 +98,7 @@ class _DiscreteAxis:
 class _BinnedAxis:
     def __init__(self, name: str, spec: Spec, bins: int | Mapping[str, int]) -> None:
         self.name = name
-        self.count = _bins_of(name, bins)
+        self.count = parts_of(name, bins, "bins")
         if spec.shape:
             raise SpecError(f"signal {name!r} is an array of shape {spec.shape}: only a single number has bins.")
         if not (math.isfinite(spec.low) and math.isfinite(spec.high)):
@@ -109,12 +110,3 @@ class _BinnedAxis:
         if not self._low <= value <= self._high:
             raise SpecError(f"signal {self.name!r} is {value}, outside {self._low:g} to {self._high:g}.")
         return min(int((value - self._low) * self._scale), self.count - 1)
-
-
-def _bins_of(name: str, bins: int | Mapping[str, int]) -> int:
-    if isinstance(bins, Mapping) and name not in bins:
-        raise SpecError(f"bins has no entry for signal {name!r}: add one.")
-    count = bins[name] if isinstance(bins, Mapping) else bins
-    if count < 1:
-        raise SpecError(f"signal {name!r} has {count} bins: give at least 1.")
-    return count

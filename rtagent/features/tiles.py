@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
+from rtagent.features.coder import parts_of
 from rtagent.features.normalise import UnitCube, positions
 from rtagent.specs import Spec
 
@@ -100,7 +101,7 @@ class _Layer:
         self._places = positions(chosen, names, "signals")
         positions(spec.wrap, chosen, "wrap")
         self.tilings = spec.tilings
-        counts = [_tiles_of(name, spec.tiles) for name in chosen]
+        counts = [parts_of(name, spec.tiles, "tiles") for name in chosen]
         if spec.tilings < 1:
             raise SpecError(f"tilings is {spec.tilings}: give at least 1.")
         self._scale = np.array(counts, dtype=np.float64)
@@ -164,15 +165,6 @@ def _offsets(tilings: int, signals: int, displacement: Displacement) -> FloatArr
     steps = np.outer(np.arange(tilings), along) % tilings
     offsets: FloatArray = steps / tilings
     return offsets
-
-
-def _tiles_of(name: str, tiles: int | Mapping[str, int]) -> int:
-    if isinstance(tiles, Mapping) and name not in tiles:
-        raise SpecError(f"tiles has no entry for signal {name!r}: add one.")
-    count = tiles[name] if isinstance(tiles, Mapping) else tiles
-    if count < 1:
-        raise SpecError(f"signal {name!r} has {count} tiles: give at least 1.")
-    return count
 
 
 def _check_size(tiled: int, memory: int) -> int:
