@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from rtagent.errors import ScheduleError
-from rtagent.experience import FeatureVector, Outcome, Transition
+from rtagent.experience import FeatureVector, Outcome, State, Transition
 from rtagent.features import FeatureCoder
 from rtagent.learning import ControlLearner, PredictionLearner
 from rtagent.policy import Policy
@@ -21,6 +21,7 @@ from rtagent.policy import Policy
 class Decision(NamedTuple):
     """An action, what it was chosen from, and with which probability."""
 
+    state: State
     features: FeatureVector
     observed_at: int
     action: int | None
@@ -48,6 +49,7 @@ class Agent:
 
     def begin(self) -> None:
         """Begin an episode: there is nothing before its first observation."""
+        self._state: State = ()
         self._features: FeatureVector | None = None
         self._observed_at = 0
         self._reward = 0.0
@@ -92,7 +94,7 @@ class Agent:
             closed = self._close(outcome, features, time)
         elif self._incomplete is not None:
             self._refresh(self._incomplete, outcome, features, time)
-        self._features, self._observed_at, self._fresh = features, time, True
+        self._state, self._features, self._observed_at, self._fresh = outcome.state, features, time, True
         return closed
 
     def choose(self) -> Decision:
@@ -101,7 +103,7 @@ class Agent:
             raise ScheduleError("choose needs an observation newer than the last choice, and a policy.")
         values = self.learner.action_values(self._features)  # type: ignore[union-attr]  # control was checked before
         action, probability = self.policy.choose(values, self.rng)
-        chosen = self.chosen = Decision(self._features, self._observed_at, action, probability)
+        chosen = self.chosen = Decision(self._state, self._features, self._observed_at, action, probability)
         self._fresh = False
         if self._incomplete is not None:
             self._complete(action)
@@ -117,7 +119,7 @@ class Agent:
         """Note that the chosen action was handed to the devices; without a new choice it is taken again."""
         chosen = self.chosen
         if chosen is not None and chosen is self._in_force and self._features is not None:
-            self.chosen = chosen._replace(features=self._features, observed_at=self._observed_at)
+            self.chosen = chosen._replace(state=self._state, features=self._features, observed_at=self._observed_at)
             self._complete(chosen.action)
         self._in_force = self.chosen
         self._acted = True
@@ -146,6 +148,8 @@ class Agent:
             time - before.observed_at,
             outcome.terminated,
             outcome.truncated,
+            before.state,
+            outcome.state,
         )
         self._reward, self._acted = 0.0, False
         if self.learner.needs_next_action and not outcome.terminated:
@@ -158,12 +162,12 @@ class Agent:
         """Return the last observation under the action that is still in force, if any."""
         in_force = self._in_force
         action, probability = (in_force.action, in_force.probability) if in_force else (None, 1.0)
-        return Decision(cast("FeatureVector", self._features), self._observed_at, action, probability)
+        return Decision(self._state, cast("FeatureVector", self._features), self._observed_at, action, probability)
 
     def _refresh(self, transition: Transition, outcome: Outcome, features: FeatureVector, time: int) -> None:
         transition.elapsed += time - self._observed_at
         transition.reward += self._reward
-        transition.next_features = features
+        transition.next_features, transition.next_state = features, outcome.state
         transition.terminated, transition.truncated = outcome.terminated, outcome.truncated
         self._reward = 0.0
         if outcome.terminated:

@@ -78,8 +78,9 @@ class FeatureVector(NamedTuple):
 class Transition:
     """What learning needs of one step.
 
-    `features` and `next_features` are as they were when observed; `action` and `next_action` are None in a
-    run that only predicts, `next_action` also where the learner does not need it. `elapsed` is in ns.
+    `features` and `next_features` are as they were when observed, and so are `state` and `next_state`, the
+    signals that they were made from (cumulants and continuations read them); `action` and `next_action` are None in
+    a run that only predicts, `next_action` also where the learner does not need it. `elapsed` is in ns.
     A truncated transition does not end the return: it bootstraps from `next_features`.
     """
 
@@ -92,6 +93,8 @@ class Transition:
     elapsed: int
     terminated: bool
     truncated: bool
+    state: State = ()
+    next_state: State = ()
 
     @property
     def last(self) -> bool:

@@ -16,8 +16,8 @@ PACKAGE = Path(rtagent.__file__).parent
 DRIVERS = Path(rtagent_drivers.__file__).parent
 
 LAYERS = [
-    {"errors", "units", "specs", "experience", "schedule", "streams"},
-    {"features", "learning", "policy"},
+    {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory"},
+    {"features", "learning", "kernels", "policy"},
     {
         "device", "task", "tasks", "clock", "costs", "pacing", "reaction",
         "series", "summary", "recorder", "instruments", "guard",

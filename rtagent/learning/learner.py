@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Protocol
 
 from rtagent.errors import SpecError
@@ -18,6 +19,16 @@ class Learner(Protocol):
 
     def update(self, transition: Transition) -> float:
         """Learn one transition and return its temporal-difference error, delta."""
+
+
+class SlicedLearner(Learner, Protocol):
+    """A learner whose updates can be suspended."""
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices of at most about 100 µs with a yield between them; return delta.
+
+        It is cut at fixed points of the work: where, and for how long, it is left changes no bit of the result.
+        """
 
 
 class ControlLearner(Learner, Protocol):
