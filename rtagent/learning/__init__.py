@@ -3,6 +3,7 @@
 from rtagent.learning.control import ExpectedSarsa, QLearning, Sarsa
 from rtagent.learning.learner import ControlLearner, Learner, PredictionLearner
 from rtagent.learning.prediction import TD
+from rtagent.learning.swift import SwiftTD
 from rtagent.learning.true_online import TrueOnlineSarsa, TrueOnlineTD
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "PredictionLearner",
     "QLearning",
     "Sarsa",
+    "SwiftTD",
     "TrueOnlineSarsa",
     "TrueOnlineTD",
 ]
