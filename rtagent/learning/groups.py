@@ -14,7 +14,15 @@ from rtagent.learning.demons import Demon
 from rtagent.learning.one_by_one import OneByOne
 from rtagent.learning.prediction import TD
 from rtagent.learning.returns import PredictionErrors, Rupee, Verifier
-from rtagent.learning.shared_trace import Precision, Step, TraceGroup, numbers_of, shared_trace
+from rtagent.learning.shared_trace import (
+    Precision,
+    Step,
+    TraceGroup,
+    numbers_of,
+    restored_features,
+    save_features,
+    shared_trace,
+)
 from rtagent.learning.steps import Discount, Rates, step_size
 from rtagent.learning.swift import SwiftTD
 from rtagent.saving import Saved
@@ -44,9 +52,7 @@ class DemonGroup:
         self._spans = np.array([demon.span for demon in demons]).T
         self.learned = _learner(first, cumulants, size + self._layer.extra, active, precision)
         alpha = step_size(first.method.alpha, first.method.divide_alpha, active)
-        shares = first.method.algorithm == "true_online_td"
-        self._alpha = alpha
-        self._rupee = Rupee(size + self._layer.extra, len(watched), alpha) if rupee and watched and shares else None
+        self._rupee = Rupee(size + self._layer.extra, len(watched), alpha) if rupee and watched else None
 
     def predict(self, features: FeatureVector) -> FloatArray:
         """Return the predictions, shape (demons,)."""
@@ -88,9 +94,8 @@ class DemonGroup:
         self._predicted = None if step.last else self.learned.estimate[self._watched].astype(float)
 
     def _add_rupee(self, rupee: Rupee, step: Step) -> None:
-        places, trace = self.learned.eligible()
         delta = self.learned.delta[self._watched].astype(float)
-        rupee.add(places, trace / self._alpha, step.features.indices, numbers_of(step.features), delta)
+        rupee.add(step.features.indices, numbers_of(step.features), delta, step.decay)
 
     def errors(self) -> Iterator[tuple[str, PredictionErrors]]:
         """Yield the errors of the watched demons, with their names."""
@@ -151,11 +156,10 @@ class _Layer:
         return FeatureVector(indices, np.concatenate((numbers_of(features), *fractions)))
 
     def save(self) -> Saved:
-        newest = self._newest
-        return {"indices": newest.indices.copy(), "values": numbers_of(newest).copy()} if newest else {}
+        return save_features(self._newest) if self._newest else {}
 
     def restore(self, saved: Saved) -> None:
-        self._newest = FeatureVector(saved["indices"].copy(), saved["values"].copy()) if saved else None
+        self._newest = restored_features(saved) if saved else None
 
 
 def _learner(demon: Demon, cumulants: Cumulants, size: int, active: int, precision: Precision) -> TraceGroup:
