@@ -281,7 +281,7 @@ def test_bins_need_a_range() -> None:
 
 
 def test_more_than_the_machine_has_is_refused_before_it_is_taken() -> None:
-    with pytest.raises(SpecError, match=r"the weights of 3 demons over 1,000,000,000,000 features takes 12000 GB"):
+    with pytest.raises(SpecError, match=r"the weights of 3 demons over 1,000,000,000,000 features takes 12 TB"):
         Horde(size=10**12, active=1, state=STATE, demons=(Demons(),))
 
 

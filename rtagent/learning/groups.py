@@ -15,11 +15,13 @@ from rtagent.learning.one_by_one import OneByOne
 from rtagent.learning.prediction import TD
 from rtagent.learning.returns import PredictionErrors, Rupee, Verifier
 from rtagent.learning.shared_trace import (
+    NOTHING,
     Precision,
     Step,
     TraceGroup,
     numbers_of,
     restored_features,
+    same_features,
     save_features,
     shared_trace,
 )
@@ -71,6 +73,10 @@ class DemonGroup:
         low, high = self._spans
         fractions: FloatArray = np.clip((predictions - low) / (high - low), 0.0, 1.0)
         return fractions
+
+    def begin(self, transition: Transition) -> None:
+        """See to its features, before any group has learned from a transition."""
+        self._layer.begin(transition)
 
     def updating(self, transition: Transition, signals: FloatArray) -> Generator[None, None, None]:
         """Learn a transition in slices; `signals` are what cumulants are taken of."""
@@ -134,21 +140,26 @@ class _Layer:
         for group in below:
             group.check_spans()
         self._own = np.arange(size, size + self.extra)
-        self._newest: FeatureVector | None = None
+        self._base, self._newest = NOTHING, NOTHING
 
     def __call__(self, features: FeatureVector) -> FeatureVector:
         if not self._below:
             return features
         return self._joined(features, [group.predict(features) for group in self._below])
 
+    def begin(self, t: Transition) -> None:
+        """See to the features of a transition's beginning, before the groups below have learned from it."""
+        if self._below and not same_features(self._base, t.features):
+            self._newest = self(t.features)
+
     def step(self, t: Transition) -> tuple[FeatureVector, FeatureVector]:
         """Return the features of both ends of a transition, after the groups below have learned from it."""
         if not self._below:
             return t.features, t.next_features
-        features = self._newest or self(t.features)
-        following = self._joined(t.next_features, [group.learned.estimate for group in self._below])
-        self._newest = None if t.last else following
-        return features, following
+        features = self._newest
+        self._newest = self._joined(t.next_features, [group.learned.estimate for group in self._below])
+        self._base = NOTHING if t.last else t.next_features
+        return features, self._newest
 
     def _joined(self, features: FeatureVector, predictions: Sequence[Any]) -> FeatureVector:
         fractions = [group.fractions(each) for group, each in zip(self._below, predictions, strict=True)]
@@ -156,10 +167,10 @@ class _Layer:
         return FeatureVector(indices, np.concatenate((numbers_of(features), *fractions)))
 
     def save(self) -> Saved:
-        return save_features(self._newest) if self._newest else {}
+        return {"base": save_features(self._base), "newest": save_features(self._newest)}
 
     def restore(self, saved: Saved) -> None:
-        self._newest = restored_features(saved) if saved else None
+        self._base, self._newest = restored_features(saved["base"]), restored_features(saved["newest"])
 
 
 def _learner(demon: Demon, cumulants: Cumulants, size: int, active: int, precision: Precision) -> TraceGroup:
