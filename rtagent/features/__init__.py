@@ -1,7 +1,8 @@
 """Feature coders: from a state to the indices (and values) of its active features."""
 
 from rtagent.features.coder import FeatureCoder
-from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva, SparseMemory
+from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
+from rtagent.features.sparse import SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
 from rtagent.features.tiles import TileCoding, Tilings
 
