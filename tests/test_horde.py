@@ -129,6 +129,18 @@ def test_a_demon_may_adapt_its_step_sizes() -> None:
     assert made.newest[0] == pytest.approx(alone.predict(CODER.encode(signals(200))))
 
 
+def test_a_demon_asks_about_a_policy_that_is_not_the_agents() -> None:
+    """The agent takes both actions alike; the demon asks about the first, after which the cumulant is 1."""
+    rng = np.random.default_rng(0)
+    always_first = Demon("first", lambda t: float(t.action == 0), Continuation(0.5), (1.0, 0.0), Method("gtd"))
+    as_it_is = Demon("both", lambda t: float(t.action == 0), Continuation(0.5))
+    made = horde(always_first, as_it_is)
+    for t in transitions(3000):
+        t.action, t.probability = int(rng.integers(2)), 0.5
+        made.update(t)
+    assert made.newest.tolist() == pytest.approx([1.0, 0.5], abs=0.15)
+
+
 def test_predictions_are_features_of_others() -> None:
     """By hand: the features of the upper demon are those of the agent and both predictions below, as fractions."""
     below = Demons(signals=("*_position",), gammas=(0.5,), name="below")
@@ -265,6 +277,8 @@ def test_what_is_not_a_number_reaches_no_weight(compiled: bool) -> None:
         ((Demons(alpha=0.0),), "alpha is 0"),
         ((Demons(lambda_=2.0),), "lambda_ is 2"),
         ((Demons(), Demons()), "two demons are called 'shoulder_position γ=0.9': give one of their sets a name"),
+        ((Demons(learner="gtd"),), "has the policy None and learns by gtd"),
+        ((Demons(policy=(0.5, 0.5)),), r"has the policy \(0.5, 0.5\) and learns by true_online_td"),
         ((Demons(on=("nothing",)),), "on names 'nothing', and no set of demons is called that"),
         ((Demons(name="a", on=("b",)), Demons(name="b", on=("a",))), "the demons 'a' are built on themselves"),
         ((Demons(name="a", normalised=False), Demons(on=("a",))), "let them be normalised"),

@@ -11,6 +11,7 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.learning.demons import Demon
+from rtagent.learning.off_policy import GTD
 from rtagent.learning.one_by_one import OneByOne
 from rtagent.learning.prediction import TD
 from rtagent.learning.returns import PredictionErrors, Rupee, Verifier
@@ -28,6 +29,8 @@ from rtagent.learning.shared_trace import (
 from rtagent.learning.steps import Discount, Rates, step_size
 from rtagent.learning.swift import SwiftTD
 from rtagent.saving import Saved
+
+LEARNERS: dict[str, Any] = {"td": TD, "swift_td": SwiftTD, "gtd": GTD}
 
 
 class DemonGroup:
@@ -186,5 +189,6 @@ def _learner(demon: Demon, cumulants: Cumulants, size: int, active: int, precisi
         "gamma_per": continuation.per,
         "lambda_": method.lambda_,
     }
-    kinds = {"td": TD, "swift_td": SwiftTD}
-    return OneByOne(cumulants, [kinds[method.algorithm](**settings) for _ in range(len(cumulants))])
+    if method.algorithm == "gtd":
+        settings["target"] = demon.policy
+    return OneByOne(cumulants, [LEARNERS[method.algorithm](**settings) for _ in range(len(cumulants))])
