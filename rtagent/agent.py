@@ -13,7 +13,7 @@ from numpy.random import Generator
 
 from rtagent.errors import ScheduleError
 from rtagent.experience import FeatureVector, Outcome, State, Transition
-from rtagent.features import FeatureCoder
+from rtagent.features import FeatureCoder, Remembering
 from rtagent.learning import ControlLearner, PredictionLearner
 from rtagent.policy import Policy
 
@@ -49,6 +49,8 @@ class Agent:
 
     def begin(self) -> None:
         """Begin an episode: there is nothing before its first observation."""
+        if isinstance(self.features, Remembering):
+            self.features.begin()
         self._state: State = ()
         self._features: FeatureVector | None = None
         self._observed_at = 0

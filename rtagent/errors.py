@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 
 class RtagentError(Exception):
     """The base of all errors raised on purpose."""
@@ -45,3 +47,9 @@ class ScenarioError(RtagentError, ValueError):
     def __init__(self, problems: list[str]) -> None:
         super().__init__("\n".join(problems))
         self.problems = problems
+
+
+def did_you_mean(name: str, known: list[str]) -> str:
+    """Return the end of a sentence: a hint at the nearest of the known names, or at all of them."""
+    near = get_close_matches(name, known, n=1)
+    return f": did you mean {near[0]!r}?" if near else f": use one of {', '.join(known)}." if known else "."

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from rtagent.errors import PluginError
+from rtagent.errors import PluginError, did_you_mean
 
 GROUPS = ("drivers", "tasks", "features", "learners", "policies")
 CONTEXT = frozenset({"state", "size", "active", "actions", "policy"})
@@ -67,12 +66,6 @@ def build(plugin: Plugin, given: dict[str, Any], **context: Any) -> Any:
     """Make what a plug-in makes, from its settings and from what it asks of the context."""
     wanted = inspect.signature(plugin).parameters
     return plugin(**given, **{name: value for name, value in context.items() if name in wanted})
-
-
-def did_you_mean(name: str, known: list[str]) -> str:
-    """Return the end of a sentence: a hint at the nearest of the known names, or at all of them."""
-    near = get_close_matches(name, known, n=1)
-    return f": did you mean {near[0]!r}?" if near else f": use one of {', '.join(known)}." if known else "."
 
 
 @cache

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,6 +13,7 @@ Saved = dict[str, Any]
 """Names to arrays (copies), numbers, texts, None, or further `Saved`: nothing that would need pickle."""
 
 
+@runtime_checkable
 class Saveable(Protocol):
     """What can be saved: restoring into an object made with the same settings goes on as if nothing had been."""
 
@@ -56,3 +57,22 @@ def _check_fit(owner: object, name: str, value: Any) -> None:
             f"{name} of the saved {type(owner).__name__} is {dtype} of shape {shape}, "
             f"not {current.dtype} of shape {current.shape}: it was saved with other settings."
         )
+
+
+def save_parts(parts: Mapping[str, Saveable]) -> Saved:
+    """Return the states of several objects by their names."""
+    return {name: part.save() for name, part in parts.items()}
+
+
+def restore_parts(parts: Mapping[str, Saveable], saved: Saved) -> None:
+    """Restore each of them; raise `SpecError`, with all as they were, where one does not fit."""
+    before = save_parts(parts)
+    try:
+        for name, part in parts.items():
+            if name not in saved:
+                raise SpecError(f"the saved state has no {name!r}: it is of something else.")
+            part.restore(saved[name])
+    except SpecError:
+        for name, part in parts.items():
+            part.restore(before[name])
+        raise

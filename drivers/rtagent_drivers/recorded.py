@@ -10,9 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import FloatArray
-from rtagent.plugins import did_you_mean
 from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.units import describe, second

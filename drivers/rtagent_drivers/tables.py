@@ -20,10 +20,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import FloatArray
 from rtagent.memory import claim
-from rtagent.plugins import did_you_mean
 
 BLOCK = 10_000
 """Rows that are held as text at a time."""

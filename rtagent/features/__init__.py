@@ -1,18 +1,24 @@
 """Feature coders: from a state to the indices (and values) of its active features."""
 
-from rtagent.features.coder import FeatureCoder
+from rtagent.features.coder import FeatureCoder, Remembering
+from rtagent.features.inputs import Composed, DataTrace, Inputs, Traced
 from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva, SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
 from rtagent.features.tiles import TileCoding, Tilings
 
 __all__ = [
     "Binned",
+    "Composed",
+    "DataTrace",
     "FeatureCoder",
+    "Inputs",
     "KanervaCoding",
     "OneHot",
+    "Remembering",
     "SelectiveKanerva",
     "SparseMemory",
     "Tabular",
     "TileCoding",
     "Tilings",
+    "Traced",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, State
@@ -21,6 +21,14 @@ class FeatureCoder(Protocol):
 
     def encode(self, state: State) -> FeatureVector:
         """Return the features of `state`; raise `SpecError` where a value is outside its range."""
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A coder whose features depend on earlier states too."""
+
+    def begin(self) -> None:
+        """Begin an episode: forget the last one."""
 
 
 def parts_of(signal: str, parts: int | Mapping[str, int], key: str) -> int:

@@ -1,50 +1,105 @@
-"""Normalisation: signals to the unit cube, from their declared ranges; what lies outside is clipped and counted."""
+"""Normalisation: signals to the unit cube, from their declared ranges; what lies outside is counted, never kept."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
 
 import numpy as np
 
 from rtagent.errors import SpecError
 from rtagent.experience import FloatArray, State
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import Spec
+
+Outside = Literal["clip", "mask"]
 
 
 class UnitCube:
-    """Maps a state, shape (signals,), to the unit cube. `clipped` counts values outside their range, by signal.
+    """Maps a state, shape (signals,), to the unit cube.
 
+    A value `outside` its declared range is clipped to it and counted in `clips`, one that is not a number (NaN)
+    refused; or it is masked: the signal keeps its last value that was inside (before there was one, the middle
+    of its range), which is counted in `masks`. Both counts are arrays of shape (signals,).
     Raises `SpecError` for a signal without a finite range, or that is an array.
     """
 
-    def __init__(self, state: Mapping[str, Spec]) -> None:
+    def __init__(self, state: Mapping[str, Spec], outside: Outside = "clip") -> None:
+        if outside not in get_args(Outside):
+            raise SpecError(f"outside is {outside!r}: give 'clip' or 'mask'.")
         self.names = tuple(state)
         for name, spec in state.items():
             _check_range(name, spec)
-        self._low = np.array([spec.low for spec in state.values()], dtype=np.float64)
-        self._high = np.array([spec.high for spec in state.values()], dtype=np.float64)
-        self._span = self._high - self._low
-        self.clipped = dict.fromkeys(self.names, 0)
+        self.low: FloatArray = np.array([spec.low for spec in state.values()], dtype=np.float64)
+        self.high: FloatArray = np.array([spec.high for spec in state.values()], dtype=np.float64)
+        self.span: FloatArray = self.high - self.low
+        self.clips = np.zeros(len(self.names), dtype=np.int64)
+        self.masks = np.zeros(len(self.names), dtype=np.int64)
+        self.last: FloatArray = self.low + self.span / 2
+        self._settled = self._masked if outside == "mask" else self._clipped
 
     def __call__(self, state: State) -> FloatArray:
-        """Return the state in the unit cube; raise `SpecError`, naming the signal, for one that is not a number."""
-        values = np.asarray(state, dtype=np.float64)
-        if values.shape != self._low.shape:
-            raise SpecError(
-                f"the state has shape {values.shape}: give one value for each of {len(self.names)} signals."
-            )
-        clipped = np.minimum(np.maximum(values, self._low), self._high)
-        if not np.array_equal(values, clipped):
-            self._count(values)
-        unit: FloatArray = (clipped - self._low) / self._span
+        """Return the state in the unit cube; raise `SpecError` as `inside` does."""
+        unit: FloatArray = (self.inside(state) - self.low) / self.span
         return unit
 
-    def _count(self, values: FloatArray) -> None:
-        for name, value, low, high in zip(self.names, values, self._low, self._high, strict=True):
-            if math.isnan(value):
-                raise SpecError(f"signal {name!r} is not a number (NaN): nothing is learned from it.")
-            self.clipped[name] += not low <= value <= high
+    def inside(self, state: State) -> FloatArray:
+        """Return the state within its ranges, in its own units.
+
+        Raises `SpecError` for another shape, and, naming the signal, for a NaN that is not to be masked.
+        """
+        return self._settled(self.values(state))
+
+    def values(self, state: State) -> FloatArray:
+        """Return the state as an array; raise `SpecError` where it is not one number for each signal."""
+        try:
+            values = np.asarray(state, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise SpecError(f"the state {state!r} is not a sequence of numbers: {self._expected}.") from None
+        if values.shape != self.low.shape:
+            raise SpecError(f"the state has shape {values.shape}: {self._expected}.")
+        return values
+
+    def refuse_nan(self, signal: int) -> SpecError:
+        """Return what is said of a signal, by its place, that is not a number."""
+        return SpecError(f"signal {self.names[signal]!r} is not a number (NaN): nothing is learned from it.")
+
+    @property
+    def clipped(self) -> dict[str, int]:
+        """How many values were clipped to their range, by signal."""
+        return dict(zip(self.names, self.clips.tolist(), strict=True))
+
+    @property
+    def masked(self) -> dict[str, int]:
+        """How many values were disregarded, by signal."""
+        return dict(zip(self.names, self.masks.tolist(), strict=True))
+
+    def save(self) -> Saved:
+        """Return the counts and the last values that were inside."""
+        return save_fields(self, ("clips", "masks", "last"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned; raise `SpecError` where it is of other signals."""
+        restore_fields(self, ("clips", "masks", "last"), saved)
+
+    @property
+    def _expected(self) -> str:
+        return f"give one value for each of {len(self.names)} signals ({', '.join(self.names)})"
+
+    def _clipped(self, values: FloatArray) -> FloatArray:
+        clipped: FloatArray = np.minimum(np.maximum(values, self.low), self.high)
+        if not np.array_equal(values, clipped):
+            if math.isnan(clipped.sum()):
+                raise self.refuse_nan(int(np.isnan(clipped).argmax()))
+            self.clips += values != clipped
+        return clipped
+
+    def _masked(self, values: FloatArray) -> FloatArray:
+        inside = (values >= self.low) & (values <= self.high)
+        self.masks += ~inside
+        self.last[inside] = values[inside]
+        return self.last.copy()
 
 
 def _check_range(name: str, spec: Spec) -> None:

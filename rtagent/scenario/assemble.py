@@ -14,7 +14,8 @@ from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
 from rtagent.device import Device, Finite
 from rtagent.errors import RtagentError, ScenarioError, SpecError
-from rtagent.features import FeatureCoder
+from rtagent.features import Composed, FeatureCoder, Inputs
+from rtagent.features.inputs import matching
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.policy import Policy
 from rtagent.result import Result
@@ -112,26 +113,52 @@ class _AgentBuilder:
     """Builds agents from the tables of a scenario; each part under its own place, for its problems."""
 
     def __init__(self, scenario: Scenario, task: Task) -> None:
-        self._parts, self._task = scenario.parts, task
+        self._parts, self._task, self._input = scenario.parts, task, scenario.model.features.input
 
     def __call__(self, rng: Generator) -> Agent:
-        features, policy = self._features(), self._policy()
+        features, policy = self._features(self._inputs()), self._policy()
         return Agent(features, self._learner(features, policy), policy, rng)
 
     def attempt(self, problems: _Problems, rng: Generator) -> Agent | None:
         """Make an agent once, noting what is wrong with each of its parts."""
         if problems.sentences and not self._task.state:
             return None  # a task may know its signals only when bound to devices that are right
-        features = problems.attempt(("features",), self._features)
+        inputs = self._attempt_inputs(problems)
+        known = inputs is not None or self._input is None
+        features = problems.attempt(("features",), lambda: self._features(inputs)) if known else None
         policy = problems.attempt(("policy",), self._policy)
         if features is None or (policy is None and "policy" in self._parts):
             return None
         learner = problems.attempt(("learner",), lambda: self._learner(features, policy))
         return None if learner is None else Agent(features, learner, policy, rng)
 
-    def _features(self) -> FeatureCoder:
-        made: FeatureCoder = _build(self._parts["features"], state=self._task.state)
-        return made
+    def _attempt_inputs(self, problems: _Problems) -> Inputs | None:
+        """Make the inputs once, where there are any, noting each pattern that matches nothing."""
+        if self._input is None:
+            return None
+        path, before = ("features", "input"), len(problems.sentences)
+        problems.attempt((*path, "signals"), partial(matching, self._input.signals, self._task.state))
+        for number, each in enumerate(self._input.traces):
+            at = (*path, "traces", number, "signals")
+            problems.attempt(at, partial(matching, each.signals, self._task.state))
+        return problems.attempt(path, self._inputs) if len(problems.sentences) == before else None
+
+    def _inputs(self) -> Inputs | None:
+        table = self._input
+        if table is None:
+            return None
+        coder = self._parts["features"].settings
+        for key, field in type(coder).model_fields.items():
+            if key in ("outside", "bias") and getattr(coder, key) != field.default:
+                raise SpecError(f"{key} is set for the coder, behind its input: set it in [features.input] alone.")
+        return Inputs(self._task.state, signals=table.signals, traces=table.traces, outside=table.outside)
+
+    def _features(self, inputs: Inputs | None) -> FeatureCoder:
+        state = self._task.state if inputs is None else inputs.specs
+        made: FeatureCoder = _build(self._parts["features"], state=state)
+        if inputs is None or self._input is None:
+            return made
+        return Composed(inputs, made, bias=self._input.bias)
 
     def _policy(self) -> Policy | None:
         made: Policy | None = _build(self._parts["policy"]) if "policy" in self._parts else None

@@ -11,14 +11,16 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from rtagent import plugins
-from rtagent.errors import PluginError, ScenarioError
-from rtagent.scenario.model import DeviceTable, ScenarioModel, TypedTable
+from rtagent.errors import PluginError, ScenarioError, did_you_mean
+from rtagent.scenario.model import DeviceTable, FeaturesTable, ScenarioModel, TypedTable
 from rtagent.scenario.settings import keys_at, settings_model
 from rtagent.scenario.source import KeyPath, Source
 
 M = TypeVar("M", bound=BaseModel)
 
 TYPED_TABLES = {"task": "tasks", "features": "features", "learner": "learners", "policy": "policies"}
+OWN_KEYS: dict[str, type[BaseModel]] = {"drivers": DeviceTable, "features": FeaturesTable}
+"""Tables that have further keys of their own beside the plug-in's settings."""
 
 
 @dataclass
@@ -100,7 +102,7 @@ def _part(
     except PluginError as error:
         problems.append(f"{source.where((*path, name_key))}: {error}")
         return None
-    own = set(DeviceTable.model_fields if group == "drivers" else TypedTable.model_fields)
+    own = OWN_KEYS.get(group, TypedTable).model_fields
     raw = _raw_table(source.values, path)
     given = {key: value for key, value in raw.items() if key not in own}
     settings = _validated(settings_model(plugin), given, path, source, problems)
@@ -129,7 +131,7 @@ def _sentence(detail: Any, place: KeyPath, model: type[BaseModel]) -> str:
     key = ".".join(str(name) for name in place)
     if detail["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         known = keys_at(model, detail["loc"][:-1])
-        return f"there is no key {key!r}{plugins.did_you_mean(str(place[-1]), known)}"
+        return f"there is no key {key!r}{did_you_mean(str(place[-1]), known)}"
     if detail["type"] == "missing":
         return f"the key {key!r} is missing: add it."
     message = detail["msg"].removeprefix("Value error, ")

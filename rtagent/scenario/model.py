@@ -6,7 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from rtagent.plugins import did_you_mean
+from rtagent.errors import did_you_mean
+from rtagent.features.inputs import Traced
+from rtagent.features.normalise import Outside
 from rtagent.schedule import PRESETS, Component, Overrun, Wait
 from rtagent.units import Duration, ms
 
@@ -103,6 +105,21 @@ class TypedTable(PluginTable):
     type: str
 
 
+class InputTable(Table):
+    """What stands in front of the coder: which of the task's signals it sees, and traces of their history."""
+
+    signals: list[str] = Field([], description='names or patterns such as "*.load"; without any, all signals')
+    traces: list[Traced] = Field([], description="which signals are traced, and with which decay")
+    outside: Outside = Field("clip", description="values outside their declared range are clipped or masked")
+    bias: bool = Field(False, description="adds a feature that is always active, the last one")
+
+
+class FeaturesTable(TypedTable):
+    """A coder by its `type`, its settings, and what stands in front of it."""
+
+    input: InputTable | None = None
+
+
 class DeviceTable(PluginTable):
     """A device: its driver, the driver's settings, and how it is supervised."""
 
@@ -120,7 +137,7 @@ class ScenarioModel(Table):
     costs: CostsTable = Field(default_factory=CostsTable)
     devices: dict[str, DeviceTable] = Field(min_length=1)
     task: TypedTable
-    features: TypedTable
+    features: FeaturesTable
     learner: TypedTable
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)

@@ -6,7 +6,7 @@ from typing import Any
 
 from rtagent import plugins
 from rtagent.scenario.load import TYPED_TABLES
-from rtagent.scenario.model import ScenarioModel, SupervisionTable
+from rtagent.scenario.model import InputTable, ScenarioModel, SupervisionTable
 from rtagent.scenario.settings import settings_model
 
 REF = "#/$defs/{model}"
@@ -19,9 +19,10 @@ def json_schema() -> dict[str, Any]:
     supervision = SupervisionTable.model_json_schema(ref_template=REF)
     devices = {"supervision": {**supervision, "default": {}}}
     schema["properties"]["devices"]["additionalProperties"] = _one_of("drivers", "driver", devices, definitions)
+    own = {"features": {"input": {"$ref": REF.format(model=InputTable.__name__)}}}
     for table, group in TYPED_TABLES.items():
-        schema["properties"][table] = _one_of(group, "type", {}, definitions)
-    for unused in ("DeviceTable", "TypedTable", "SupervisionTable"):
+        schema["properties"][table] = _one_of(group, "type", own.get(table, {}), definitions)
+    for unused in ("DeviceTable", "FeaturesTable", "TypedTable", "SupervisionTable"):
         definitions.pop(unused, None)
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "rtagent scenario"
