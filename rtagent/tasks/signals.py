@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.features.inputs import matching
 from rtagent.specs import DeviceSpec, Spec
 
 ENDED = "ended"
@@ -28,10 +28,10 @@ class _Sensor(NamedTuple):
 class Signals:
     """Observe signals and do nothing; an episode is truncated when a device has ended.
 
-    `signals` are patterns such as `"arm.*_position"` over `device.sensor`; without them every number that is
-    sensed is a signal. `reward` names a sensor whose value is the reward at each observation. A signal is called
-    as its sensor is, or `device.sensor` where several devices have one of that name. The state is known once
-    `bind` was called.
+    `signals` are names, `device.sensor`, or patterns such as `"arm.*_position"`; without them every number that is
+    sensed is a signal. `reward` names the `device.sensor` whose value is the reward at each observation. A signal
+    is called as its sensor is, or `device.sensor` where several devices have one of that name. The state is known
+    once `bind` was called.
     """
 
     actions: Sequence[str] = ()
@@ -76,35 +76,23 @@ class Signals:
         return False
 
     def _picked(self, there: Sequence[_Sensor]) -> list[_Sensor]:
+        usable = {each.path: each for each in there if not _is_end(each)}
         if self._patterns:
-            self._refuse_idle_patterns(there)
-            picked = [each for each in there if any(fnmatchcase(each.path, pattern) for pattern in self._patterns)]
-        else:
-            picked = [each for each in there if each.spec.dtype != "bool"]
-        picked = [each for each in picked if not _is_end(each)]
+            return [usable[path] for path in matching(self._patterns, usable)]
+        picked = [each for each in usable.values() if each.spec.dtype != "bool"]
         if not picked:
             raise SpecError("no device senses a number that could be a signal; it needs a sensor of shape ().")
         return picked
 
-    def _refuse_idle_patterns(self, there: Sequence[_Sensor]) -> None:
-        for pattern in self._patterns:
-            if not any(fnmatchcase(each.path, pattern) for each in there):
-                raise SpecError(
-                    f"signals has the pattern {pattern!r}, which fits no sensor; there are {_listed(there)}."
-                )
-
     def _the_reward(self, there: Sequence[_Sensor]) -> _Sensor | None:
         if not self._reward_path:
             return None
-        found = next((each for each in there if each.path == self._reward_path), None)
-        if found is None:
-            raise SpecError(f"reward is {self._reward_path!r}, which is no sensor; there are {_listed(there)}.")
-        return found
+        paths = {each.path: each for each in there}
+        if self._reward_path not in paths:
+            hint = did_you_mean(self._reward_path, list(paths))
+            raise SpecError(f"reward is {self._reward_path!r}, which is no device.sensor{hint}")
+        return paths[self._reward_path]
 
 
 def _is_end(sensor: _Sensor) -> bool:
     return sensor.name == ENDED and sensor.spec.dtype == "bool"
-
-
-def _listed(there: Sequence[_Sensor]) -> str:
-    return ", ".join(each.path for each in there)
