@@ -207,14 +207,14 @@ def _check_numbers(table: Table, name: str, column: str) -> None:
         raise SpecError(
             f"{name}, row {row}: {text!r} in column {column!r} is no number; leave a cell empty that has none."
         )
-    if np.isnan(table.columns[column]).all():
+    if not np.isfinite(table.columns[column]).any():
         raise SpecError(f"{name}: column {column!r} has no values at all: leave it out.")
 
 
 def _every_number(table: Table, name: str, remarks: list[str]) -> dict[str, Signal]:
     """Return a signal for each column that mostly holds numbers; say which do not."""
     mostly = {
-        column: np.count_nonzero(~np.isnan(numbers)) > max(len(numbers) // 2, table.texts.get(column, (0,))[0])
+        column: np.count_nonzero(np.isfinite(numbers)) > max(len(numbers) // 2, table.texts.get(column, (0,))[0])
         for column, numbers in table.columns.items()
     }
     names = [column for column, numeric in mostly.items() if numeric]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -65,7 +66,7 @@ def read_table(path: Path, time: str = "", session: str = "", wanted: Sequence[s
         if not head:
             raise SpecError(f"{path} is empty: a recording has a header, and a row for each moment.")
         if head == b"PK":
-            return _read_npz(path, time, session, wanted)
+            return _read_npz(path, file, time, session, wanted)
         plain: Any = gzip.GzipFile(fileobj=file) if head == b"\x1f\x8b" else file
         with io.TextIOWrapper(plain, encoding="utf-8-sig", newline="") as lines:
             return _read_csv(path, lines, time, session, wanted)
@@ -132,7 +133,7 @@ def _named_like(names: Sequence[str], usual: Sequence[str]) -> str:
 
 def _read_csv(path: Path, lines: io.TextIOBase, time: str, session: str, wanted: Sequence[str]) -> Table:
     first = next(iter(lines), "")
-    delimiter = max(",;\t", key=first.count)
+    delimiter = max(",;\t", key=re.sub(r'"[^"]*"', "", first).count)
     names = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
     layout = find_layout(path, names, time, session, wanted)
     times = _TimeColumn(path, layout.time)
@@ -247,8 +248,8 @@ def _stamp(text: str) -> datetime:
     return stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)
 
 
-def _read_npz(path: Path, time: str, session: str, wanted: Sequence[str]) -> Table:
-    with np.load(path, allow_pickle=False) as archive:
+def _read_npz(path: Path, file: IO[bytes], time: str, session: str, wanted: Sequence[str]) -> Table:
+    with np.load(file, allow_pickle=False) as archive:
         layout = find_layout(path, archive.files, time, session, wanted)
         picked = {name: archive[name] for name in {layout.time, layout.session, *layout.signals} - {""}}
     times = _npz_times(path, layout.time, picked[layout.time])
