@@ -258,7 +258,7 @@ def test_whatever_the_rows_are_every_usable_one_is_seen_and_the_end_reached(x: l
     usable = [value for value in x if value > 0]
     given_table = table(range(len(x)), x=x)
     if not usable:
-        with pytest.raises(SpecError, match="nothing to play|no values at all"):
+        with pytest.raises(SpecError, match=r"nothing to play|no values at all"):
             played(given_table)
         return
     result, transitions, looker = watch(played(given_table))
