@@ -66,27 +66,33 @@ def compare(
     found[SQUARES], found[TRACE_HERE], found[TRACE_THERE] = squares, trace_here, trace_there
 
 
-@kernel("int64(int64[::1], float64[::1], float64, float64[::1], int64[::1], int64)")
-def extend_trace(here: Array, x: Array, amount: float, trace: Array, support: Array, count: int) -> int:
-    """Add `amount` times a feature vector to `trace`; return how many features its `support` lists now."""
+@kernel("int64(int64[::1], float64[::1], float64, float64[::1], int64[::1], boolean[::1], int64)")
+def extend_trace(
+    here: Array, x: Array, amount: float, trace: Array, support: Array, listed: Array, count: int
+) -> int:
+    """Add `amount` times a feature vector to `trace`; return how many features its `support` lists now.
+
+    `listed` says of every feature whether it does.
+    """
     for place in range(here.size):
         feature = here[place]
-        if trace[feature] == 0.0:
+        if not listed[feature]:
+            listed[feature] = True
             support[count] = feature
             count += 1
         trace[feature] += amount * x[place]
     return count
 
 
-@kernel("int64(float64[::1], int64[::1], int64, float64, float64)")
-def shrink_trace(trace: Array, support: Array, count: int, scale: float, least: float) -> int:
+@kernel("int64(float64[::1], int64[::1], boolean[::1], int64, float64, float64)")
+def shrink_trace(trace: Array, support: Array, listed: Array, count: int, scale: float, least: float) -> int:
     """Multiply `trace` by `scale` and forget what falls under `least`; return how many are left in `support`."""
     kept = 0
     for place in range(count):
         feature = support[place]
         trace[feature] *= scale
         if abs(trace[feature]) < least:
-            trace[feature] = 0.0
+            trace[feature], listed[feature] = 0.0, False
         else:
             support[kept] = feature
             kept += 1

@@ -38,6 +38,7 @@ class Cumulants:
 
     def __init__(self, cumulants: Sequence[Signal | Within], precision: str) -> None:
         withins = [each for each in cumulants if isinstance(each, Within)]
+        self.precision = precision
         self.source = np.array([each.place for each in cumulants], dtype=np.int32)
         self.raw = np.array([isinstance(each, Signal) for each in cumulants], dtype=precision)
         self.low, self.high = np.zeros((2, len(cumulants)), dtype=precision)

@@ -49,7 +49,7 @@ FOLD_DEMONS = 4096
 NOTHING = FeatureVector(np.zeros(0, dtype=np.int64))
 SAVED = (
     "_table", "total", "beta", "offset", "estimate", "_trace", "_support", "_count", "_scale", "_decay", "_fresh",
-    "_here",
+    "_here", "_listed",
 )  # fmt: skip
 
 
@@ -76,6 +76,7 @@ class LazyTrace:
         self.delta, self.cumulant = np.zeros((2, demons), precision)
         self._trace: FloatArray = np.zeros(size)
         self._support: NDArray[np.int64] = np.zeros(size, dtype=np.int64)
+        self._listed = np.zeros(size, dtype=np.bool_)
         self._count, self._scale, self._decay, self._fresh = 0, 1.0, 0.0, True
         self._here = NOTHING
         self._marks, self._others = np.zeros((2, size))
@@ -125,7 +126,7 @@ class LazyTrace:
 
     def _learn(self, step: Step) -> Generator[None, None, None]:
         here, scale = self._here, self._scale
-        there = here if step.last and step.gamma == 0.0 else _writable(step.next_features)
+        there = _writable(step.next_features)
         lefts, enters, overlap, squares, trace_here, trace_there = self._compare(here, there)
         amount = self._alpha * (1.0 - scale * trace_here)
         direct = amount if step.decay == 0.0 and self._count == 0 else 0.0
@@ -150,7 +151,7 @@ class LazyTrace:
             yield
         if kappa:
             self._count = self._kernels.extend_trace(
-                here.indices, self._numbers(here), kappa, self._trace, self._support, self._count
+                here.indices, self._numbers(here), kappa, self._trace, self._support, self._listed, self._count
             )
         self._here, self._segments = there, []
 
@@ -176,7 +177,9 @@ class LazyTrace:
             for _, rows in self._rows(there, end - first):
                 self._kernels.sum_rows(self._table, self.total, *rows, first, end)
                 yield
-        self._count = self._kernels.shrink_trace(self._trace, self._support, self._count, scale, self._least)
+        self._count = self._kernels.shrink_trace(
+            self._trace, self._support, self._listed, self._count, scale, self._least
+        )
         self._scale, self._here, self._segments = 1.0, there, []
 
     def _rows(

@@ -45,8 +45,8 @@ class ControlLearner(Learner, Protocol):
 class PredictionLearner(Learner, Protocol):
     """A learner of the return under the behaviour."""
 
-    def predict(self, features: FeatureVector) -> float:
-        """Return the estimated return."""
+    def predict(self, features: FeatureVector) -> float | FloatArray:
+        """Return the estimated return; a Horde those of its demons, shape (demons,)."""
 
 
 def checked(delta: float, transition: Transition) -> float:

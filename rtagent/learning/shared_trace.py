@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtagent import kernels
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
@@ -25,6 +25,9 @@ Vector = NDArray[Any]
 
 SLICE = 100_000
 """A slice touches about so many weights."""
+
+
+NO_TRACE: tuple[IndexArray, FloatArray] = np.zeros(0, dtype=np.intp), np.zeros(0)
 
 
 class Step(NamedTuple):
@@ -40,6 +43,7 @@ class Step(NamedTuple):
     gamma: float
     decay: float
     last: bool
+    transition: Transition
 
 
 class TraceGroup(Protocol):
@@ -59,7 +63,7 @@ class TraceGroup(Protocol):
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, with a yield between slices: each demon has then learned it, or not yet."""
 
-    def eligible(self) -> tuple[NDArray[np.intp], FloatArray]:
+    def eligible(self) -> tuple[IndexArray, FloatArray]:
         """Return the features whose trace is not 0, and their traces."""
 
     def save(self) -> Saved:
@@ -91,7 +95,7 @@ class SharedTrace:
 
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
-        indices, x = step.features.indices, _numbers(step.features)
+        indices, x = step.features.indices, numbers_of(step.features)
         trace = self.trace * self._decay
         trace[indices] += self.alpha * (1.0 - trace[indices] @ x) * x
         self.cumulants.fill(step.signals, step.scale, self.cumulant)
@@ -111,11 +115,11 @@ class SharedTrace:
         delta = self.cumulant[some] + step.gamma * following - estimate
         eligible = np.flatnonzero(trace)
         weights[eligible] += np.outer(trace[eligible], delta)
-        weights[step.features.indices] += np.outer(_numbers(step.features), self.alpha * (estimate - value))
+        weights[step.features.indices] += np.outer(numbers_of(step.features), self.alpha * (estimate - value))
         self.delta[some] = delta
         estimate[:] = following
 
-    def eligible(self) -> tuple[NDArray[np.intp], FloatArray]:
+    def eligible(self) -> tuple[IndexArray, FloatArray]:
         """Return where the trace is not 0, and the trace there."""
         places = np.flatnonzero(self.trace)
         return places, self.trace[places]
@@ -147,7 +151,8 @@ def _values(weights: NDArray[Any], features: FeatureVector) -> Vector:
     return values
 
 
-def _numbers(features: FeatureVector) -> FloatArray:
+def numbers_of(features: FeatureVector) -> FloatArray:
+    """Return the values of features, all 1 where they have none."""
     return np.ones(len(features.indices)) if features.values is None else features.values
 
 

@@ -35,8 +35,10 @@ class Discount:
 
     def __call__(self, transition: Transition) -> float:
         """Return γ; 0 where the episode terminated."""
-        if transition.terminated:
-            return 0.0
+        return 0.0 if transition.terminated else self.of(transition)
+
+    def of(self, transition: Transition) -> float:
+        """Return what γ would be, had the episode not terminated."""
         gamma = fraction_of("gamma", self.gamma, transition)
         return float(gamma ** (transition.elapsed / 1e9)) if self._each_second else gamma
 

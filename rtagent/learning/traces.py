@@ -67,13 +67,17 @@ class Traces(Protocol):
         """Take a saved state, of either form."""
 
 
+def worth_compiling(rows: int, size: int, active: int) -> bool:
+    """Whether what is learned is large enough for kernels."""
+    return active > 1 and rows * size >= WORTH_COMPILING
+
+
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
     """Return the form that is quicker for so many weights and active features (0: unknown, so the dense one)."""
     for name, number in (("size", size), ("actions", rows)):
         if number < 1:
             raise SpecError(f"{name} is {number}: give 1 or more.")
-    worth = active > 1 and rows * size >= WORTH_COMPILING
-    linear = kernels.load("linear") if worth else None
+    linear = kernels.load("linear") if worth_compiling(rows, size, active) else None
     return DenseTraces(rows, size, initial) if linear is None else LazyTraces(rows, size, initial, linear)
 
 
@@ -95,7 +99,7 @@ class DenseTraces:
     def value(self, row: int, features: FeatureVector) -> float:
         """Return the inner product of one row of the weights and the features."""
         try:
-            return _product(self._weights[row], features)
+            return product(self._weights[row], features)
         except IndexError:
             check_range(row, features, *self._weights.shape)
             raise
@@ -103,7 +107,7 @@ class DenseTraces:
     def values(self, features: FeatureVector) -> FloatArray:
         """Return the inner products of every row, shape (rows,)."""
         try:
-            return _products(self._weights, features)
+            return products(self._weights, features)
         except IndexError:
             check_range(0, features, *self._weights.shape)
             raise
@@ -116,7 +120,7 @@ class DenseTraces:
         if not math.isfinite(delta):
             return delta
         kept = 0.0 if replacing else self._trace[row, features.indices]
-        self._trace[row, features.indices] = kept + _values(features)
+        self._trace[row, features.indices] = kept + values_of(features)
         self._move(row, features, alpha * delta, decay)
         return delta
 
@@ -124,12 +128,12 @@ class DenseTraces:
         self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
     ) -> float:
         """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
-        value, values = self.value(row, features), _values(features)
+        value, values = self.value(row, features), values_of(features)
         before = value if math.isnan(estimate) else estimate
         delta = target - before
         if not math.isfinite(delta + value):
             return math.nan
-        traced = _product(self._trace[row], features)
+        traced = product(self._trace[row], features)
         self._trace[row, features.indices] += alpha * (1.0 - traced) * values
         self._weights[row, features.indices] += alpha * (before - value) * values
         self._move(row, features, delta, decay)
@@ -184,7 +188,7 @@ class LazyTraces:
         try:
             found: float = self._value(self._cells, row, self.size, indices, values)
         except TypeError:
-            found = self._value(self._cells, *self._converted(row, features))
+            found = self._value(self._cells, row, self.size, *as_arrays(features))
         if found != found:
             self._check_range(row, features)
         return found
@@ -196,7 +200,7 @@ class LazyTraces:
         try:
             found: FloatArray = self._kernels.all_values(self._cells, self.size, indices, values)
         except TypeError:
-            found = self._kernels.all_values(self._cells, *self._converted(0, features)[1:])
+            found = self._kernels.all_values(self._cells, self.size, *as_arrays(features))
         if found[0] != found[0]:
             self._check_range(0, features)
         return found
@@ -212,8 +216,8 @@ class LazyTraces:
                 self._cells, row, self.size, indices, values, target, alpha, decay, replacing
             )
         except TypeError:
-            known = self._converted(row, features)
-            delta = self._credit(self._cells, *known, float(target), alpha, decay, replacing)
+            known = as_arrays(features)
+            delta = self._credit(self._cells, row, self.size, *known, float(target), alpha, decay, replacing)
         if delta != delta:
             self._check_range(row, features)
         return delta
@@ -227,8 +231,8 @@ class LazyTraces:
         try:
             delta: float = self._dutch(self._cells, row, self.size, indices, values, target, estimate, alpha, decay)
         except TypeError:
-            known = self._converted(row, features)
-            delta = self._dutch(self._cells, *known, float(target), float(estimate), alpha, decay)
+            known = as_arrays(features)
+            delta = self._dutch(self._cells, row, self.size, *known, float(target), estimate, alpha, decay)
         if delta != delta:
             self._check_range(row, features)
         return delta
@@ -260,12 +264,6 @@ class LazyTraces:
     def _column(self, which: int) -> FloatArray:
         return self._cells[:-1, which].reshape(self._shape)
 
-    def _converted(self, row: int, features: FeatureVector) -> tuple[int, int, IndexArray, FloatArray]:
-        """Return the arguments of a kernel, for features in arrays of another type or layout."""
-        indices = np.array(features.indices, dtype=np.int64)
-        values = ALL_ONES if features.values is None else np.array(features.values, dtype=np.float64)
-        return row, self.size, indices, values
-
     def _check_range(self, row: int, features: FeatureVector) -> None:
         """Say so if it was an index out of range that gave NaN."""
         check_range(row, features, *self._shape)
@@ -296,11 +294,18 @@ def check_range(row: int, features: FeatureVector, rows: int, size: int) -> None
             raise SpecError(f"there is no feature {index}: this learner was made with size {size}.")
 
 
-def _values(features: FeatureVector) -> FloatArray | float:
+def as_arrays(features: FeatureVector) -> tuple[IndexArray, FloatArray]:
+    """Return indices and values as kernels take them, whatever type or layout they have."""
+    values = ALL_ONES if features.values is None else np.require(features.values, np.float64, ["C", "W"])
+    return np.require(features.indices, np.int64, ["C", "W"]), values
+
+
+def values_of(features: FeatureVector) -> FloatArray | float:
+    """Return the values of active features: 1 where they have none."""
     return 1.0 if features.values is None else features.values
 
 
-def _product(weights: FloatArray, features: FeatureVector) -> float:
+def product(weights: FloatArray, features: FeatureVector) -> float:
     """Return the inner product of `weights`, shape (size,), and `features`."""
     if features.values is not None:
         return float(weights[features.indices] @ features.values)
@@ -309,7 +314,7 @@ def _product(weights: FloatArray, features: FeatureVector) -> float:
     return float(weights[features.indices].sum())
 
 
-def _products(weights: FloatArray, features: FeatureVector) -> FloatArray:
+def products(weights: FloatArray, features: FeatureVector) -> FloatArray:
     """Return the inner products of every row of `weights`, shape (rows, size), and `features`."""
     if features.values is None and features.indices.size == 1:
         return weights[:, features.indices[0]].copy()

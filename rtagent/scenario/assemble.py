@@ -170,6 +170,7 @@ class _AgentBuilder:
             size=features.size,
             active=features.active,
             actions=len(self._task.actions),
+            state=self._task.state,
             policy=policy,
         )
 
