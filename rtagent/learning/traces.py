@@ -308,7 +308,7 @@ def values_of(features: FeatureVector) -> FloatArray | float:
 def product(weights: FloatArray, features: FeatureVector) -> float:
     """Return the inner product of `weights`, shape (size,), and `features`."""
     if features.values is not None:
-        return float(weights[features.indices] @ features.values)
+        return float(weights[features.indices].dot(features.values))
     if features.indices.size == 1:
         return float(weights[features.indices[0]])
     return float(weights[features.indices].sum())
@@ -319,5 +319,5 @@ def products(weights: FloatArray, features: FeatureVector) -> FloatArray:
     if features.values is None and features.indices.size == 1:
         return weights[:, features.indices[0]].copy()
     columns = weights[:, features.indices]
-    values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
+    values: FloatArray = columns.sum(axis=1) if features.values is None else columns.dot(features.values)
     return values
