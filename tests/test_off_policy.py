@@ -69,7 +69,7 @@ GAMMA = 0.8
 
 
 def fixed_point(lambda_: float) -> np.ndarray:
-    """Return the weights at which off-policy TD(λ) would rest: of the projected operator, weighted by the behaviour."""
+    """Return the weights at which off-policy TD(λ) would rest: states are weighted as the behaviour visits them."""
     visits = np.linalg.matrix_power(np.tensordot(BEHAVIOUR, CHANCES, 1), 200)[0]
     moves, rewards = np.tensordot(TARGET, CHANCES, 1), TARGET @ REWARDS
     weighted = FEATURES.T @ np.diag(visits) @ np.linalg.inv(np.eye(4) - GAMMA * lambda_ * moves)
@@ -105,7 +105,7 @@ def behaviour_point(lambda_: float) -> np.ndarray:
 
 
 def baird(state: int) -> FeatureVector:
-    """Return the features of Baird's counterexample (Sutton and Barto, figure 11.1), state 6 being the lower one."""
+    """Return the features of Baird's counterexample (Sutton and Barto, figure 11.1); state 6 is the lower one."""
     return FeatureVector(np.array([state, 7]), np.array([1.0, 2.0] if state == 6 else [2.0, 1.0]))
 
 
@@ -177,15 +177,17 @@ def test_a_target_that_does_not_know_an_action_is_told() -> None:
         GTD(size=2, target=lambda t: 1.5).update(moving(one_hot(0), 0, 0.3, 1.0, one_hot(1)))
 
 
-@pytest.mark.parametrize("ends", [{"terminated": True}, {"truncated": True}])
-def test_what_is_not_finite_never_reaches_a_weight(ends: dict[str, bool]) -> None:
+@pytest.mark.parametrize("ends", ["terminated", "truncated", "not"])
+def test_what_is_not_finite_never_reaches_a_weight(ends: str) -> None:
     learner = GTD(size=2, target=(1.0,), beta=0.1)
     learner.update(step(0, 0, 1.0, 1))
     before = {name: array.tolist() for name, array in learner.save().items()}
     for reward, value in ((float("nan"), 1.0), (float("inf"), 1.0), (1.0, float("nan")), (1.0, float("-inf"))):
         features = FeatureVector(np.array([1]), np.array([value]))
+        transition = moving(features, 0, 1.0, reward, one_hot(0))
+        transition.terminated, transition.truncated = ends == "terminated", ends == "truncated"
         with pytest.raises(SpecError, match="nothing was learned"):
-            learner.update(Transition(features, 0, 1.0, reward, one_hot(0), None, 0, **{"terminated": False, "truncated": False} | ends))  # fmt: skip
+            learner.update(transition)
     assert {name: array.tolist() for name, array in learner.save().items()} == before
 
 

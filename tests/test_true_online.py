@@ -78,8 +78,8 @@ def general_online_lambda_return(
 ) -> list[np.ndarray]:
     """Return the weights after each step, γ and λ being those of the state in which each step ends.
 
-    The return of each step is the reward, and γ of the next state times a mixture of its value and its return (Sutton
-    and Barto, equation 12.18), as far as the horizon; the online algorithm then as above.
+    The return of each step is the reward, and γ of the next state times a mixture of its value and its return
+    (Sutton and Barto, equation 12.18), as far as the horizon; the online algorithm then as above.
     """
     known = [np.zeros(xs.shape[1])]
     for h in range(1, len(rewards) + 1):

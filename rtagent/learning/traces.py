@@ -308,7 +308,8 @@ def values_of(features: FeatureVector) -> FloatArray | float:
 def product(weights: FloatArray, features: FeatureVector) -> float:
     """Return the inner product of `weights`, shape (size,), and `features`."""
     if features.values is not None:
-        return float(weights[features.indices].dot(features.values))
+        with np.errstate(invalid="ignore"):  # the learner tells what is not finite
+            return float(weights[features.indices] @ features.values)
     if features.indices.size == 1:
         return float(weights[features.indices[0]])
     return float(weights[features.indices].sum())
@@ -319,5 +320,6 @@ def products(weights: FloatArray, features: FeatureVector) -> FloatArray:
     if features.values is None and features.indices.size == 1:
         return weights[:, features.indices[0]].copy()
     columns = weights[:, features.indices]
-    values: FloatArray = columns.sum(axis=1) if features.values is None else columns.dot(features.values)
+    with np.errstate(invalid="ignore"):
+        values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
     return values
