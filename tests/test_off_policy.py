@@ -51,7 +51,7 @@ def test_on_policy_and_without_its_second_weights_it_is_td(seed: int, gamma: flo
         transition = moving(one_hot(int(rng.integers(6))), 0, 0.3, rng.normal(), one_hot(int(rng.integers(6))))
         transition.truncated = bool(rng.random() < 0.1)
         assert gtd.update(transition) == pytest.approx(td.update(transition))
-    np.testing.assert_allclose(gtd.weights, td.weights)
+    np.testing.assert_allclose(gtd.weights, td.weights, rtol=1e-9, atol=1e-12)
 
 
 # A small process with two actions, four states and two features
