@@ -119,11 +119,10 @@ def single_learners() -> Iterator[Row]:
         for name, work in kinds.items():
             blocks[name] += timed(work, transitions[first : first + 1000])[200:].tolist()
     medians = {name: float(np.median(times)) for name, times in blocks.items()}
-    reference = min(medians["dense"], medians["indexed"])
     yield Row("true online TD(λ): update", medians["ours"] * 1e6, "µs")
     yield Row("  numpy on all weights", medians["dense"] * 1e6, "µs")
     yield Row("  numpy on active indices", medians["indexed"] * 1e6, "µs")
-    yield Row("  quicker numpy / ours", reference / medians["ours"], "×", 5, "higher")
+    yield Row("  numpy on active indices / ours", medians["indexed"] / medians["ours"], "×", 5, "higher")
     yield Row("SwiftTD: update", medians["SwiftTD"] * 1e6, "µs")
 
 

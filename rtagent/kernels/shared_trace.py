@@ -27,19 +27,23 @@ GAMMA, ALPHA, KAPPA, SCALE, SQUARE, COMMON, HERE, THERE, FRESH, DIRECT = range(1
 
 
 @kernel(
-    "void(int64[::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1], float64[::1],"
+    "boolean(int64[::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1], float64[::1],"
     " int64[::1], int64[::1], float64[::1])"
 )
 def compare(
     here: Array, x: Array, there: Array, y: Array, trace: Array, marks: Array, others: Array,
     left: Array, entered: Array, found: Array,
-) -> None:  # fmt: skip
+) -> bool:  # fmt: skip
     """Compare two feature vectors, `here` with values `x` and `there` with values `y`.
 
     `found` becomes: how many features left and entered (listed in `left` and `entered`), the inner product of
     both vectors, that of `here` with itself, and those of either with `trace`. `marks` and `others`, shape (size,),
-    are all 0 before and after.
+    are all 0 before and after. Returns False, having done nothing, where a feature is not among them.
     """
+    for features in (here, there):
+        for feature in features:
+            if not 0 <= feature < trace.size:
+                return False
     overlap, squares, trace_here, trace_there = 0.0, 0.0, 0.0, 0.0
     for place in range(here.size):
         marks[here[place]] = x[place]
@@ -64,6 +68,7 @@ def compare(
         others[there[place]] = 0.0
     found[LEFT], found[ENTERED], found[OVERLAP] = lefts, enters, overlap
     found[SQUARES], found[TRACE_HERE], found[TRACE_THERE] = squares, trace_here, trace_there
+    return True
 
 
 @kernel("int64(int64[::1], float64[::1], float64, float64[::1], int64[::1], boolean[::1], int64)")
