@@ -26,6 +26,15 @@ GAMMA, ALPHA, KAPPA, SCALE, SQUARE, COMMON, HERE, THERE, FRESH, DIRECT = range(1
 """The parameters of a step, in an array of the dtype of the weights: as in `rtagent.learning.lazy_trace`."""
 
 
+@kernel("boolean(int64[::1], int64)", "boolean(Array(int64, 1, 'C', readonly=True), int64)")
+def known(features: Array, size: int) -> bool:
+    """Say whether all features are among `size`."""
+    unknown = 0
+    for feature in features:
+        unknown += feature < 0 or feature >= size
+    return unknown == 0
+
+
 @kernel(
     "boolean(int64[::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1], float64[::1],"
     " int64[::1], int64[::1], float64[::1])"
@@ -40,10 +49,8 @@ def compare(
     both vectors, that of `here` with itself, and those of either with `trace`. `marks` and `others`, shape (size,),
     are all 0 before and after. Returns False, having done nothing, where a feature is not among them.
     """
-    for features in (here, there):
-        for feature in features:
-            if not 0 <= feature < trace.size:
-                return False
+    if not (known(here, trace.size) and known(there, trace.size)):
+        return False
     overlap, squares, trace_here, trace_there = 0.0, 0.0, 0.0, 0.0
     for place in range(here.size):
         marks[here[place]] = x[place]

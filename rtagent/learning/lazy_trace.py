@@ -29,6 +29,7 @@ from rtagent.learning.shared_trace import (
     Precision,
     Step,
     Vector,
+    refuse_unknown,
     restored_features,
     same_features,
     save_features,
@@ -114,6 +115,8 @@ class LazyTrace:
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
         features = _writable(step.features)
+        if not self._kernels.known(step.next_features.indices, len(self._trace)):
+            refuse_unknown((step.next_features,), len(self._trace))
         if not same_features(features, self._here):  # what came before is not known: the trace is cut here
             refuse_unknown((features,), len(self._trace))
             yield from self._settle(features, 0.0)
