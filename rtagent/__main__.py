@@ -50,6 +50,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of each trial")
     run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
     run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
+    _add_data(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
     _add_set(run)
     run.set_defaults(command=_run)
@@ -58,6 +59,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     check = commands.add_parser("check", help="validate and explain scenarios; run nothing")
     check.add_argument("scenarios", nargs="+", metavar="scenario")
+    _add_data(check)
     _add_set(check)
     check.set_defaults(command=_check)
 
@@ -67,6 +69,10 @@ def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     listing = commands.add_parser("list", help="list what is installed, with one line each")
     listing.add_argument("group", choices=groups)
     listing.set_defaults(command=_list)
+
+
+def _add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", metavar="FILE", help="the recording to play: CSV, gzipped CSV or npz")
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:

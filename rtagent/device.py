@@ -51,6 +51,22 @@ class Episodic(Protocol):
 
 
 @runtime_checkable
+class Finite(Protocol):
+    """A device that has only so many episodes, as a recording has sessions."""
+
+    episodes: int
+
+
+@runtime_checkable
+class Noting(Protocol):
+    """A device that has something to say before a run, such as what it found in a file."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Sentences on what it is, and on what may surprise."""
+
+
+@runtime_checkable
 class Stimulating(Protocol):
     """A device that knows when stimuli truly happened."""
 

@@ -32,8 +32,10 @@ class Senses:
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
         """Return an observation, and the stimuli that it is the first to contain."""
         if self._waits and len(self._devices) == 1:
-            if not await self._devices[0].wait(self._timeout):
-                self._recorder.counters["observe_timeouts"] += 1
+            device, deadline = self._devices[0], self._now() + self._timeout
+            seen = device.sequence
+            if not await device.wait(self._timeout):
+                await self._wait_on(device, seen, deadline)
         else:
             await self._read_all()
         samples: dict[str, Sample] = {}
@@ -45,16 +47,26 @@ class Senses:
         stale = self._stale(now) if self._may_be_stale else NOTHING
         return Observation(now, samples, stale), self._new_stimuli() if self._stimulating else NO_STIMULI
 
+    async def _wait_on(self, device: SupervisedDevice, seen: int, deadline: int) -> None:
+        """Wait on for as long as what comes, after the sample numbered `seen`, is not usable."""
+        while seen < device.sequence and (left := deadline - self._now()) > 0:
+            seen = device.sequence
+            if await device.wait(left):
+                return
+        self._recorder.counters["observe_timeouts"] += 1
+
     async def _read_all(self) -> None:
         fresh = False
         for device in self._devices:
             fresh = await device.read(-1) or fresh
         if self._waits and not fresh:
-            await self._wait_for_any()
+            deadline = self._now() + self._timeout
+            while not await self._wait_for_any(deadline):
+                pass
 
-    async def _wait_for_any(self) -> None:
-        """Wait until some device has a new sample, at most for the schedule's time-out."""
-        limit = self._timeout / second
+    async def _wait_for_any(self, deadline: int) -> bool:
+        """Wait until some device has a new sample, at most until `deadline`; say no where it was not usable."""
+        limit = max(deadline - self._now(), 0) / second
         readings = {
             asyncio.ensure_future(device.device.read(device.sequence)): device
             for device in self._devices
@@ -62,15 +74,20 @@ class Senses:
         }
         if not readings:
             await asyncio.sleep(limit)
-            return
+            return True
         done, late = await asyncio.wait(readings, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
         for reading in late:
             reading.cancel()
         if late:
             await asyncio.wait(late, timeout=limit)
+        seen = sum(device.sequence for device in self._devices)
         fresh = [readings[reading].take(reading) for reading in done]
-        if not any(fresh):
-            self._recorder.counters["observe_timeouts"] += 1
+        if any(fresh):
+            return True
+        if sum(device.sequence for device in self._devices) > seen and self._now() < deadline:
+            return False
+        self._recorder.counters["observe_timeouts"] += 1
+        return True
 
     async def _first_sample(self, device: SupervisedDevice) -> Sample:
         """Wait for a device's first valid sample: nothing is chosen, and nothing moves, before it."""

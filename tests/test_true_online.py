@@ -94,7 +94,8 @@ def test_after_an_episode_nothing_of_it_is_left_in_the_trace() -> None:
         first = TrueOnlineTD(size=SIZE)
         first.update(step(xs[0], 1.0, xs[1], **ending))
         again = TrueOnlineTD(size=SIZE)
-        again.weights[:] = first.weights
+        again.restore(first.save())
+        assert not first.save()["theta"]["trace"].any()
         assert first.update(step(xs[2], 1.0, xs[3])) == again.update(step(xs[2], 1.0, xs[3]))
         assert first.weights.tolist() == again.weights.tolist()
 

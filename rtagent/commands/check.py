@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Iterator
 
+from rtagent.commands.overrides import overrides
+from rtagent.device import Noting
 from rtagent.errors import ScenarioError
 from rtagent.scenario import Assembly, Scenario, assemble, load
 from rtagent.units import describe
@@ -16,7 +18,7 @@ def check_command(arguments: argparse.Namespace) -> int:
     code = 0
     for path in arguments.scenarios:
         try:
-            scenario = load(path, arguments.set)
+            scenario = load(path, overrides(path, arguments))
             assembly = assemble(scenario)
         except ScenarioError as error:
             sys.stderr.write(f"{error}\n")
@@ -33,18 +35,26 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     if scenario.model.description:
         yield scenario.model.description
     run = scenario.model.run
-    yield f"{run.trials} × {run.episodes} episodes, {run.clock} clock, seed {run.seed}"
+    yield f"{run.trials} × {assembly.plan.episodes} episodes, {run.clock} clock, seed {run.seed}"
     for name, device in assembly.devices.items():
         sensors, actuators = (
             ", ".join(device.spec.sensors) or "none",
             ", ".join(device.spec.actuators) or "none",
         )
         yield f"device {name} ({scenario.devices[name].name}): senses {sensors}; takes {actuators}"
+    yield from device_notes(assembly)
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"
     yield from _explain_schedule(assembly)
     yield from _warnings(scenario, assembly)
+
+
+def device_notes(assembly: Assembly) -> Iterator[str]:
+    """Yield what devices have to say before a run."""
+    for name, device in assembly.devices.items():
+        if isinstance(device, Noting):
+            yield from (f"device {name}: {note}" for note in device.notes)
 
 
 def _explain_schedule(assembly: Assembly) -> Iterator[str]:

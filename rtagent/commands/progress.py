@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TextIO
 
+from rtagent.commands.check import device_notes
 from rtagent.recorder import EpisodeRecord
 from rtagent.units import describe
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from rtagent.scenario import Scenario
+    from rtagent.scenario import Assembly, Scenario
 
 LINES = 20
 """At most so many lines where there is no terminal to draw a bar on."""
@@ -19,34 +20,39 @@ LINES = 20
 class Progress:
     """An instrument that tells how far the run is."""
 
-    def __init__(self, scenario: Scenario, out: TextIO) -> None:
-        run = scenario.model.run
-        self._out = out
-        self._total = run.trials * run.episodes
-        self._done = 0
+    def __init__(self, scenario: Scenario, assembly: Assembly, out: TextIO) -> None:
+        run, plan = scenario.model.run, assembly.plan
+        self._out, self._reacts = out, assembly.schedule.acts
+        self._total = plan.trials * plan.episodes
+        self._done = self._steps = 0
         self._reactions: list[int] = []
         self._print(
-            f"{scenario.name}: {run.trials} × {run.episodes} episodes, "
+            f"{scenario.name}: {plan.trials} × {plan.episodes} episodes, "
             f"{scenario.model.schedule.preset or 'custom'} order, {run.clock} clock, seed {run.seed}"
         )
+        for note in device_notes(assembly):
+            self._print(note)
         self._bar = self._make_bar() if out.isatty() else None
 
     def episode_ended(self, record: EpisodeRecord) -> None:
         """Draw the bar, or print a line."""
         self._done += 1
+        self._steps += record.steps
         self._reactions += [reaction.time for reaction in record.reactions.reactions]
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], advance=1, reaction=self._median())
+            self._bar.update(self._bar.task_ids[0], advance=1, said=self._said())
             self._bar.refresh()
         elif self._done * LINES // self._total > (self._done - 1) * LINES // self._total:
-            self._print(f"episode {self._done} of {self._total}, {self._median()}")
+            self._print(f"episode {self._done} of {self._total}, {self._said()}")
 
     def close(self) -> None:
         """Leave the bar as it is."""
         if self._bar is not None:
             self._bar.stop()
 
-    def _median(self) -> str:
+    def _said(self) -> str:
+        if not self._reacts:
+            return f"{self._steps:,} steps"
         if not self._reactions:
             return "no reaction yet"
         return f"median reaction {describe(sorted(self._reactions)[len(self._reactions) // 2])}"
@@ -64,9 +70,9 @@ class Progress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[reaction]}"),
+            TextColumn("{task.fields[said]}"),
         )
         bar = Bar(*columns, console=Console(file=self._out), auto_refresh=False)
-        bar.add_task("episodes", total=self._total, reaction="")
+        bar.add_task("episodes", total=self._total, said="")
         bar.start()
         return bar

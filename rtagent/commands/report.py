@@ -10,12 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from rtagent.recorder import Fault
 from rtagent.result import Result
 from rtagent.summary import Summary
 from rtagent.units import describe
 
 BINS = 10
 BAR_WIDTH = 40
+FAULTS = 10
+"""So many different faults have a line of their own."""
 
 
 def print_report(result: Result, out: TextIO) -> None:
@@ -29,11 +32,20 @@ def print_report(result: Result, out: TextIO) -> None:
             console.print(line)
     _print_returns(console, result)
     _print_counters(console, result)
-    for fault in result.faults:
+    shown = _shown(result.faults)
+    for fault in shown:
         times = f" ({fault.count} times)" if fault.count > 1 else ""
         console.print(
             f"[bold]fault[/bold] at {describe(fault.time)}: {escape(fault.source)}: {escape(fault.message)}{times}"
         )
+    if len(shown) < len(result.faults):
+        console.print(f"and {len(result.faults) - len(shown)} other sentences of this kind; --json has them.")
+
+
+def _shown(faults: Sequence[Fault]) -> Sequence[Fault]:
+    """Return the faults that are worth a line each: the fatal ones, and the first of the others."""
+    fatal = [fault for fault in faults if fault.fatal]
+    return [fault for fault in faults if not fault.fatal][:FAULTS] + fatal
 
 
 def _times(result: Result) -> Table:
@@ -71,7 +83,7 @@ def _bar(count: int, most: int) -> str:
 
 def _print_returns(console: Console, result: Result) -> None:
     returns = [episode.total_reward for episode in result.episodes if episode.finished]
-    if returns:
+    if returns and (result.schedule.acts or any(returns)):
         last = returns[-10:]
         console.print(
             f"\nreturn: mean {np.mean(returns):.4g} over {len(returns)} episodes, "

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rtagent import clock
+from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
 from rtagent.errors import RtagentError, ScenarioError
@@ -20,13 +21,13 @@ def run_command(arguments: argparse.Namespace) -> int:
     """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
     try:
         _check_output(arguments.json)
-        scenario = load(arguments.scenario, _overrides(arguments))
+        scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
     except ScenarioError as error:
         sys.stderr.write(f"{error}\n")
         return 2
     out = sys.stderr if arguments.json == "-" else sys.stdout
-    progress = None if arguments.quiet else Progress(scenario, out)
+    progress = None if arguments.quiet else Progress(scenario, assembly, out)
     result, failure = None, None
     try:
         result = clock.run(assembly.run([progress] if progress else []), scenario.model.run.clock)
@@ -44,12 +45,6 @@ def run_command(arguments: argparse.Namespace) -> int:
         _print_failure(failure)
     _write(scenario, result, arguments.json)
     return 0 if failure is None and not result.not_safe else 1
-
-
-def _overrides(arguments: argparse.Namespace) -> list[str]:
-    options = {name: getattr(arguments, name) for name in ("clock", "trials", "episodes", "seed")}
-    own = [f"run.{name}={value}" for name, value in options.items() if value is not None]
-    return [*arguments.set, *own]
 
 
 def _check_output(path: str | None) -> None:

@@ -1,46 +1,27 @@
-"""Control: SARSA(λ), Q-learning and Expected SARSA over linear features."""
+"""Control: SARSA(λ), Watkins's Q(λ) and Expected SARSA(λ) over linear features.
+
+`alpha` is the step size of each weight, or of all active ones together (`divide_alpha`); `gamma` the discount each
+step, or each second (`gamma_per`); `lambda_` the decay of the traces. In Python, `gamma` and `lambda_` may be
+functions of the transition: their values in the state in which it ends. An update raises `SpecError`, learning
+nothing, where its delta is not finite.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+import math
 
 import numpy as np
 
 from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning.learner import add_features, check_steps, linear_value, linear_values
+from rtagent.learning.learner import checked, taken
+from rtagent.learning.steps import Fraction, GammaPer, Rates, Trace, step_size
+from rtagent.learning.traces import make_traces
 from rtagent.policy import Policy
-
-Trace = Literal["accumulating", "replacing"]
-
-
-class ActionWeights:
-    """Weights of shape (actions, size), and the action values that they give."""
-
-    def __init__(self, actions: int, size: int, initial: float) -> None:
-        self.weights: FloatArray = np.full((actions, size), initial, dtype=np.float64)
-
-    def values(self, features: FeatureVector) -> FloatArray:
-        """Return the value of every action, shape (actions,)."""
-        return linear_values(self.weights, features)
-
-    def value(self, features: FeatureVector, action: int | None) -> float:
-        """Return the value of one action."""
-        return linear_value(self.weights[action], features)
-
-    def back_up(self, transition: Transition, alpha: float, next_value: float) -> float:
-        """Move the value of the transition's own action towards its reward and `next_value`; return delta."""
-        t = transition
-        delta = t.reward + next_value - self.value(t.features, t.action)
-        values = 1.0 if t.features.values is None else t.features.values
-        self.weights[t.action, t.features.indices] += alpha * delta * values
-        return delta
+from rtagent.saving import Saved
 
 
 class Sarsa:
-    """SARSA(λ) (thesis, Algorithms 2 and 3; Sutton and Barto, section 12.7).
-
-    `alpha` is the step size of each weight, `gamma` the discount a step, `lambda_` the decay of the traces.
-    """
+    """SARSA(λ) (thesis, Algorithms 2 and 3; Sutton and Barto, section 12.7)."""
 
     needs_next_action = True
 
@@ -49,21 +30,23 @@ class Sarsa:
         *,
         size: int,
         actions: int,
+        active: int = 0,
         alpha: float = 0.1,
-        gamma: float = 0.9,
-        lambda_: float = 0.9,
+        divide_alpha: bool = False,
+        gamma: Fraction = 0.9,
+        gamma_per: GammaPer = "step",
+        lambda_: Fraction = 0.9,
         trace: Trace = "accumulating",
         initial: float = 0.0,
     ) -> None:
-        check_steps(alpha, gamma, lambda_)
-        self.alpha, self.gamma, self.lambda_ = alpha, gamma, lambda_
+        self.alpha = step_size(alpha, divide_alpha, active)
+        self._rates = Rates(gamma, gamma_per, lambda_)
         self._replacing = trace == "replacing"
-        self._q = ActionWeights(actions, size, initial)
-        self.trace: FloatArray = np.zeros((actions, size))
+        self._q = make_traces(actions, size, initial, active)
 
     @property
     def weights(self) -> FloatArray:
-        """The weights, shape (actions, size)."""
+        """A copy of the weights, shape (actions, size)."""
         return self._q.weights
 
     def action_values(self, features: FeatureVector) -> FloatArray:
@@ -72,33 +55,51 @@ class Sarsa:
 
     def update(self, transition: Transition) -> float:
         """Learn (S, A, R, S', A') and return delta."""
-        q, t = self._q, transition
-        delta = t.reward - q.value(t.features, t.action)
-        if not t.terminated:
-            delta += self.gamma * q.value(t.next_features, t.next_action)
-        self.trace *= self.gamma * self.lambda_
-        add_features(self.trace[t.action], t.features, self._replacing)
-        q.weights += self.alpha * delta * self.trace
-        if t.last:
-            self.trace[:] = 0.0
-        return delta
+        t, q = transition, self._q
+        gamma, decay = self._rates(t)
+        target = t.reward + gamma * q.value(taken(t.next_action), t.next_features) if gamma else t.reward
+        return checked(q.credit(taken(t.action), t.features, target, self.alpha, decay, self._replacing), t)
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+        return self._q.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        self._q.restore(saved)
 
 
 class QLearning:
-    """One-step Q-learning (Watkins 1989; Sutton and Barto, section 6.5)."""
+    """Watkins's Q(λ) (Watkins 1989; Sutton and Barto, section 12.10); with λ = 0, Q-learning (section 6.5).
+
+    The trace is cut before an action that is not greedy by the values of the moment at which it is learned.
+    """
 
     needs_next_action = False
 
     def __init__(
-        self, *, size: int, actions: int, alpha: float = 0.1, gamma: float = 0.9, initial: float = 0.0
+        self,
+        *,
+        size: int,
+        actions: int,
+        active: int = 0,
+        alpha: float = 0.1,
+        divide_alpha: bool = False,
+        gamma: Fraction = 0.9,
+        gamma_per: GammaPer = "step",
+        lambda_: Fraction = 0.0,
+        trace: Trace = "accumulating",
+        initial: float = 0.0,
     ) -> None:
-        check_steps(alpha, gamma)
-        self.alpha, self.gamma = alpha, gamma
-        self._q = ActionWeights(actions, size, initial)
+        self.alpha = step_size(alpha, divide_alpha, active)
+        self._rates = Rates(gamma, gamma_per, lambda_)
+        self._has_trace = callable(lambda_) or lambda_ > 0
+        self._replacing = trace == "replacing"
+        self._q = make_traces(actions, size, initial, active)
 
     @property
     def weights(self) -> FloatArray:
-        """The weights, shape (actions, size)."""
+        """A copy of the weights, shape (actions, size)."""
         return self._q.weights
 
     def action_values(self, features: FeatureVector) -> FloatArray:
@@ -107,12 +108,31 @@ class QLearning:
 
     def update(self, transition: Transition) -> float:
         """Learn (S, A, R, S') towards the best action of S', and return delta."""
-        best = 0.0 if transition.terminated else float(self.action_values(transition.next_features).max())
-        return self._q.back_up(transition, self.alpha, self.gamma * best)
+        t, q, action = transition, self._q, taken(transition.action)
+        gamma, decay = self._rates(t)
+        target = t.reward + gamma * float(q.values(t.next_features).max()) if gamma else t.reward
+        checked(target, t)
+        if self._has_trace and self._explores(t.features, action):
+            q.reset()
+        return checked(q.credit(action, t.features, target, self.alpha, decay, self._replacing), t)
+
+    def _explores(self, features: FeatureVector, action: int) -> bool:
+        values = self._q.values(features)
+        if not 0 <= action < values.size:
+            return False
+        return bool(-math.inf < values[action] < values.max())
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+        return self._q.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        self._q.restore(saved)
 
 
 class ExpectedSarsa:
-    """One-step Expected SARSA (Sutton and Barto, section 6.6): the expectation under the agent's policy."""
+    """Expected SARSA(λ): the expectation under the agent's policy (Sutton and Barto, section 6.6 where λ = 0)."""
 
     needs_next_action = False
 
@@ -122,18 +142,24 @@ class ExpectedSarsa:
         size: int,
         actions: int,
         policy: Policy,
+        active: int = 0,
         alpha: float = 0.1,
-        gamma: float = 0.9,
+        divide_alpha: bool = False,
+        gamma: Fraction = 0.9,
+        gamma_per: GammaPer = "step",
+        lambda_: Fraction = 0.0,
+        trace: Trace = "accumulating",
         initial: float = 0.0,
     ) -> None:
-        check_steps(alpha, gamma)
-        self.alpha, self.gamma = alpha, gamma
+        self.alpha = step_size(alpha, divide_alpha, active)
+        self._rates = Rates(gamma, gamma_per, lambda_)
+        self._replacing = trace == "replacing"
         self._policy = policy
-        self._q = ActionWeights(actions, size, initial)
+        self._q = make_traces(actions, size, initial, active)
 
     @property
     def weights(self) -> FloatArray:
-        """The weights, shape (actions, size)."""
+        """A copy of the weights, shape (actions, size)."""
         return self._q.weights
 
     def action_values(self, features: FeatureVector) -> FloatArray:
@@ -142,9 +168,21 @@ class ExpectedSarsa:
 
     def update(self, transition: Transition) -> float:
         """Learn (S, A, R, S') towards the expectation over the actions of S', and return delta."""
-        expected = 0.0 if transition.terminated else self._expectation(transition.next_features)
-        return self._q.back_up(transition, self.alpha, self.gamma * expected)
+        t, q = transition, self._q
+        gamma, decay = self._rates(t)
+        target = t.reward + gamma * self._expectation(t.next_features) if gamma else t.reward
+        return checked(q.credit(taken(t.action), t.features, target, self.alpha, decay, self._replacing), t)
 
     def _expectation(self, features: FeatureVector) -> float:
         values = self.action_values(features)
+        if not np.isfinite(values).all():
+            return math.nan
         return float(self._policy.probabilities(values) @ values)
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+        return self._q.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        self._q.restore(saved)

@@ -1,12 +1,16 @@
-"""What a learner is, and the few lines of linear algebra that all share."""
+"""What a learner is, and what all check of a transition."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
+from rtagent.saving import Saved
 
 
 class Learner(Protocol):
@@ -41,41 +45,38 @@ class ControlLearner(Learner, Protocol):
 class PredictionLearner(Learner, Protocol):
     """A learner of the return under the behaviour."""
 
-    def predict(self, features: FeatureVector) -> float:
-        """Return the estimated return."""
+    def predict(self, features: FeatureVector) -> float | FloatArray:
+        """Return the estimated return; a Horde those of its demons, shape (demons,)."""
 
 
-def linear_value(weights: FloatArray, features: FeatureVector) -> float:
-    """Return the inner product of `weights`, shape (size,), and `features`."""
-    if features.values is None and features.indices.size == 1:
-        return float(weights[features.indices[0]])
-    if features.values is None:
-        return float(weights[features.indices].sum())
-    return float(weights[features.indices] @ features.values)
+def checked(delta: float, transition: Transition) -> float:
+    """Return `delta`, or raise `SpecError` where it is not finite: then nothing was learned."""
+    if math.isfinite(delta):
+        return delta
+    raise SpecError(f"{_what_is_wrong(transition)}, so nothing was learned from this transition.")
 
 
-def linear_values(weights: FloatArray, features: FeatureVector) -> FloatArray:
-    """Return the inner products of every row of `weights`, shape (actions, size), and `features`."""
-    if features.values is None and features.indices.size == 1:
-        return weights[:, features.indices[0]]
-    columns = weights[:, features.indices]
-    values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
-    return values
+def taken(action: int | None) -> int:
+    """Return an action; raise `SpecError` where there is none."""
+    if action is None:
+        raise SpecError("this learner needs the actions that were taken, and a transition has none.")
+    return action
 
 
-def add_features(trace: FloatArray, features: FeatureVector, replacing: bool) -> None:
-    """Add `features` to `trace`, shape (size,), in place; a replacing trace is set to them instead."""
-    values = 1.0 if features.values is None else features.values
-    if replacing:
-        trace[features.indices] = values
-    else:
-        trace[features.indices] += values
+def parts_of(saved: Saved, *names: str) -> list[Any]:
+    """Return these parts of a saved state; raise `SpecError` where one is missing."""
+    missing = [name for name in names if name not in saved]
+    if missing:
+        raise SpecError(f"the saved state has no {missing[0]!r}: it is of another learner.")
+    return [saved[name] for name in names]
 
 
-def check_steps(alpha: float, gamma: float, lambda_: float = 0.0) -> None:
-    """Raise `SpecError` unless alpha is positive and gamma and lambda_ are from 0 to 1."""
-    if not alpha > 0:
-        raise SpecError(f"alpha is {alpha}: give a step size above 0.")
-    for name, value in (("gamma", gamma), ("lambda_", lambda_)):
-        if not 0.0 <= value <= 1.0:
-            raise SpecError(f"{name} is {value}: give a number from 0 to 1.")
+def _what_is_wrong(transition: Transition) -> str:
+    if not math.isfinite(transition.reward):
+        return f"the reward is {transition.reward}"
+    for name, features in (("features", transition.features), ("next features", transition.next_features)):
+        wrong = [] if features.values is None else np.flatnonzero(~np.isfinite(features.values)).tolist()
+        if wrong:
+            index, value = features.indices[wrong[0]], features.values[wrong[0]]  # type: ignore[index]  # not None
+            return f"feature {index} of the {name} is {value}"
+    return "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning.control import Trace
-from rtagent.learning.learner import add_features, check_steps, linear_value
+from rtagent.learning.learner import checked
+from rtagent.learning.steps import Fraction, GammaPer, Rates, Trace, step_size
+from rtagent.learning.traces import make_traces
+from rtagent.saving import Saved
 
 
 class TD:
     """TD(λ) (Sutton and Barto, section 12.2): the return of the reward under the behaviour.
 
-    `alpha` is the step size of each weight, `gamma` the discount a step, `lambda_` the decay of the trace.
+    `alpha` is the step size of each weight, or of all active ones together (`divide_alpha`); `gamma` the discount
+    each step, or each second (`gamma_per`); `lambda_` the decay of the trace. In Python, `gamma` and `lambda_` may
+    be functions of the transition: their values in the state in which it ends.
     """
 
     needs_next_action = False
@@ -21,31 +23,41 @@ class TD:
         self,
         *,
         size: int,
+        active: int = 0,
         alpha: float = 0.1,
-        gamma: float = 0.9,
-        lambda_: float = 0.9,
+        divide_alpha: bool = False,
+        gamma: Fraction = 0.9,
+        gamma_per: GammaPer = "step",
+        lambda_: Fraction = 0.9,
         trace: Trace = "accumulating",
         initial: float = 0.0,
     ) -> None:
-        check_steps(alpha, gamma, lambda_)
-        self.alpha, self.gamma, self.lambda_ = alpha, gamma, lambda_
+        self.alpha = step_size(alpha, divide_alpha, active)
+        self._rates = Rates(gamma, gamma_per, lambda_)
         self._replacing = trace == "replacing"
-        self.weights: FloatArray = np.full(size, initial, dtype=np.float64)
-        self.trace: FloatArray = np.zeros(size)
+        self._theta = make_traces(1, size, initial, active)
+
+    @property
+    def weights(self) -> FloatArray:
+        """A copy of the weights, shape (size,)."""
+        weights: FloatArray = self._theta.weights[0]
+        return weights
 
     def predict(self, features: FeatureVector) -> float:
         """Return the estimated return from a state with these features."""
-        return linear_value(self.weights, features)
+        return self._theta.value(0, features)
 
     def update(self, transition: Transition) -> float:
-        """Learn (S, R, S') and return delta."""
-        t = transition
-        delta = t.reward - self.predict(t.features)
-        if not t.terminated:
-            delta += self.gamma * self.predict(t.next_features)
-        self.trace *= self.gamma * self.lambda_
-        add_features(self.trace, t.features, self._replacing)
-        self.weights += self.alpha * delta * self.trace
-        if t.last:
-            self.trace[:] = 0.0
-        return delta
+        """Learn (S, R, S') and return delta; raise `SpecError`, learning nothing, where it is not finite."""
+        t, theta = transition, self._theta
+        gamma, decay = self._rates(t)
+        target = t.reward + gamma * theta.value(0, t.next_features) if gamma else t.reward
+        return checked(theta.credit(0, t.features, target, self.alpha, decay, self._replacing), t)
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+        return self._theta.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        self._theta.restore(saved)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -12,7 +12,7 @@ from numpy.random import Generator
 from rtagent import plugins
 from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
-from rtagent.device import Device
+from rtagent.device import Device, Finite
 from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs
 from rtagent.features.inputs import matching
@@ -93,7 +93,7 @@ def assemble(scenario: Scenario) -> Assembly:
     before: Order = ()
     if schedule is not None and agent is not None:
         before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
-    plan = _plan(scenario)
+    plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
     if schedule is not None and scenario.model.run.clock == "virtual":
         problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
@@ -121,6 +121,8 @@ class _AgentBuilder:
 
     def attempt(self, problems: _Problems, rng: Generator) -> Agent | None:
         """Make an agent once, noting what is wrong with each of its parts."""
+        if problems.sentences and not self._task.state:
+            return None  # a task may know its signals only when bound to devices that are right
         inputs = self._attempt_inputs(problems)
         known = inputs is not None or self._input is None
         features = problems.attempt(("features",), lambda: self._features(inputs)) if known else None
@@ -168,6 +170,7 @@ class _AgentBuilder:
             size=features.size,
             active=features.active,
             actions=len(self._task.actions),
+            state=self._task.state,
             policy=policy,
         )
 
@@ -191,7 +194,12 @@ def _costs(scenario: Scenario) -> Costs:
     }
 
 
-def _plan(scenario: Scenario) -> Plan:
+def _plan(scenario: Scenario, devices: Mapping[str, Device]) -> Plan:
     table = scenario.model.run
     limits = Limits(table.episode_time, table.episode_steps)
-    return Plan(table.trials, table.episodes, table.seed, limits, scenario.model.stop.drain)
+    episodes = table.episodes
+    if not episodes and len(devices) == len(scenario.devices):
+        episodes = min((device.episodes for device in devices.values() if isinstance(device, Finite)), default=0)
+        if not episodes:
+            raise SpecError("0 episodes are all that a device has, but none here comes to an end: give a number.")
+    return Plan(table.trials, episodes, table.seed, limits, scenario.model.stop.drain)

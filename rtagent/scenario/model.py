@@ -25,7 +25,7 @@ class RunTable(Table):
     clock: Literal["real", "virtual"] = Field("real", description="the clock of the run")
     seed: int = Field(1, ge=0, description="all random streams are derived from it")
     trials: int = Field(1, ge=1, description="each trial begins with a new agent")
-    episodes: int = Field(1, ge=1, description="episodes of each trial")
+    episodes: int = Field(1, ge=0, description="episodes of each trial; 0: all that a device has, as a recording")
     episode_time: Duration = Field(0, description="an episode is truncated after this time; 0: never")
     episode_steps: int = Field(0, ge=0, description="an episode is truncated after so many steps; 0: never")
 

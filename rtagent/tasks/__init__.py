@@ -1,6 +1,7 @@
 """Tasks: what observations mean, and what actions do."""
 
 from rtagent.tasks.hallway import HallwayTask
+from rtagent.tasks.signals import Signals
 from rtagent.tasks.stopping import Stopping
 
-__all__ = ["HallwayTask", "Stopping"]
+__all__ = ["HallwayTask", "Signals", "Stopping"]

@@ -1,0 +1,169 @@
+"""How good predictions turned out: true returns, known only later, and the errors against them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rtagent.experience import FloatArray, IndexArray
+from rtagent.memory import claim
+from rtagent.saving import Saved, restore_fields, save_fields
+
+TOLERANCE = 1e-3
+"""A return is known once what is still to come weighs less than this in it."""
+
+MOST_PENDING = 100_000
+"""Predictions that have waited for their return behind so many others are given up, and counted."""
+
+LEAST_TRACE = 1e-6
+SMALLEST_SCALE = 1e-100
+
+SLICE = 64
+"""So many steps of a return are summed up at a time."""
+
+
+@dataclass(frozen=True)
+class PredictionErrors:
+    """Errors of a demon's predictions against the returns that followed: mean absolute, root mean square.
+
+    `rupee` is its projected error by its own trace, where that was asked for; `verified` how many predictions
+    were compared, `unverified` how many never had a known return.
+    """
+
+    mae: float
+    rmse: float
+    rupee: float | None
+    verified: int
+    unverified: int
+
+
+class _Step(NamedTuple):
+    prediction: FloatArray
+    cumulant: FloatArray
+    gamma: float
+
+
+class Verifier:
+    """Compares the predictions of a few demons, which share γ, with their returns, once these are known."""
+
+    def __init__(self, demons: int) -> None:
+        self.absolute, self.squared = np.zeros((2, demons))
+        self.verified = self.unverified = 0
+        self._older: list[_Step] = []
+        self._newer: list[_Step] = []
+        self._weight = 1.0
+
+    def add(
+        self, prediction: FloatArray, cumulant: FloatArray, gamma: float, last: bool
+    ) -> Generator[None, None, None]:
+        """Take a prediction, the cumulant (shape (demons,)) that came next and γ there; work in slices."""
+        self._newer.append(_Step(prediction, cumulant, gamma))
+        self._weight *= gamma
+        if self._weight < TOLERANCE or last:
+            yield from self._verify(last)
+        elif len(self._newer) >= MOST_PENDING:
+            self.unverified += len(self._older)
+            self._older, self._newer, self._weight = self._newer, [], 1.0
+
+    def _verify(self, last: bool) -> Generator[None, None, None]:
+        steps, older = self._older + self._newer, len(self._older)
+        self._older, self._newer, self._weight = [] if last else self._newer, [], 1.0
+        total, weight, due = np.zeros_like(self.absolute), 1.0, len(steps) if last else older
+        for number in range(len(steps) - 1, -1, -1):
+            prediction, cumulant, gamma = steps[number]
+            total, weight = cumulant + gamma * total, weight * gamma
+            if number < due:
+                self._compare(prediction - total, weight < TOLERANCE)
+            if number % SLICE == 0:
+                yield
+
+    def _compare(self, error: FloatArray, known: bool) -> None:
+        if not known:
+            self.unverified += 1
+            return
+        self.verified += 1
+        self.absolute += np.abs(error)
+        self.squared += error * error
+
+    def errors(self, rupees: Sequence[float] | None = None) -> list[PredictionErrors]:
+        """Return the errors of each demon."""
+        count = max(1, self.verified)
+        means, squares = (self.absolute / count).tolist(), (self.squared / count).tolist()
+        known = rupees if rupees is not None else [None] * len(means)
+        return [
+            PredictionErrors(mean, math.sqrt(square), rupee, self.verified, self.unverified)
+            for mean, square, rupee in zip(means, squares, known, strict=True)
+        ]
+
+    def save(self) -> Saved:
+        """Return the sums and what is still pending."""
+        saved = save_fields(self, ("absolute", "squared", "verified", "unverified", "_weight"))
+        return saved | {"older": _packed(self._older), "newer": _packed(self._newer)}
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        restore_fields(self, ("absolute", "squared", "verified", "unverified", "_weight"), saved)
+        self._older, self._newer = _unpacked(saved["older"]), _unpacked(saved["newer"])
+
+
+def _packed(steps: Sequence[_Step]) -> Saved:
+    return {
+        "prediction": np.array([step.prediction for step in steps]),
+        "cumulant": np.array([step.cumulant for step in steps]),
+        "gamma": np.array([step.gamma for step in steps]),
+    }
+
+
+def _unpacked(saved: Saved) -> list[_Step]:
+    columns = (saved["prediction"].copy(), saved["cumulant"].copy(), saved["gamma"].tolist())
+    return [_Step(*row) for row in zip(*columns, strict=True)]
+
+
+class Rupee:
+    """Recent unsigned projected error estimate of a few demons (White 2015, Developing a predictive approach).
+
+    RUPEE = sqrt(|hᵀ E[δe]|): h estimates by least squares the projection of δe on the features, at step size
+    `alpha`; the average forgets at the rate `beta`. The trace e accumulates. Only its rows are touched.
+    """
+
+    def __init__(self, size: int, demons: int, alpha: float, beta: float = 1e-3) -> None:
+        claim(16 * size * demons, f"the projected errors of {demons} demons")
+        self.h, self._average = np.zeros((2, size, demons))
+        self._trace = np.zeros(size)
+        self._alpha, self._beta, self._scale, self._bias = alpha, beta, 1.0, 1.0
+
+    def add(self, indices: IndexArray, values: FloatArray, delta: FloatArray, decay: float) -> None:
+        """Take one step: the features of the state, delta, shape (demons,), and γλ of the next (0: none)."""
+        self._trace[indices] += values
+        rows = np.flatnonzero(np.abs(self._trace) > LEAST_TRACE)
+        credit = np.outer(self._trace[rows], delta)
+        projected = values @ self.h[indices]
+        self.h[rows] += self._alpha * credit
+        self.h[indices] -= self._alpha * np.outer(values, projected)
+        self._scale *= 1.0 - self._beta  # the average is _scale times _average: only the rows change
+        self._bias *= 1.0 - self._beta
+        self._average[rows] += (self._beta / self._scale) * credit
+        self._trace *= decay
+        if self._scale < SMALLEST_SCALE:
+            self._average *= self._scale
+            self._scale = 1.0
+
+    def values(self) -> list[float]:
+        """Return RUPEE of each demon; the average is corrected for having begun at 0."""
+        if self._bias == 1.0:
+            return [0.0] * self.h.shape[1]
+        average = self._average * (self._scale / (1.0 - self._bias))
+        found: list[float] = np.sqrt(np.abs((self.h * average).sum(axis=0))).tolist()
+        return found
+
+    def save(self) -> Saved:
+        """Return the state."""
+        return save_fields(self, ("h", "_average", "_trace", "_scale", "_bias"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        restore_fields(self, ("h", "_average", "_trace", "_scale", "_bias"), saved)

@@ -1,0 +1,323 @@
+"""Linear values and their eligibility trace: weights of shape (rows, size), of which one row is learned at a time.
+
+A prediction has one row, control a row for each action. There are two forms that do the same: `DenseTraces` is the
+readable one; `LazyTraces` touches only what is active, in `rtagent.kernels.linear`.
+
+Each rule (`credit`, `dutch`) does one step towards a target, and then lets the trace decay by γλ of the state that
+comes next; a decay of 0 resets it. What is not finite changes nothing: the δ that is returned is not finite then.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+
+from rtagent import kernels
+from rtagent.errors import SpecError
+from rtagent.experience import FeatureVector, FloatArray, IndexArray
+from rtagent.memory import claim
+from rtagent.saving import Saved, restore_fields
+
+WORTH_COMPILING = 1000
+"""From so many weights on, with more than one active feature, a quicker update is worth loading the compiler."""
+
+ALL_ONES: FloatArray = np.empty(0)
+"""How kernels are told that all values are 1."""
+
+
+class Traces(Protocol):
+    """Weights and trace of shape (rows, size)."""
+
+    size: int
+
+    @property
+    def weights(self) -> FloatArray:
+        """A copy of the weights, shape (rows, size)."""
+
+    def value(self, row: int, features: FeatureVector) -> float:
+        """Return the inner product of one row of the weights and the features."""
+
+    def values(self, features: FeatureVector) -> FloatArray:
+        """Return the inner products of every row, shape (rows,)."""
+
+    def credit(
+        self, row: int, features: FeatureVector, target: float, alpha: float, decay: float, replacing: bool = False
+    ) -> float:
+        """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
+
+    def dutch(
+        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
+    ) -> float:
+        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ.
+
+        `estimate` is the value that the step before gave to this state, NaN before the first.
+        """
+
+    def reset(self) -> None:
+        """Set the trace to 0."""
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state, of either form."""
+
+
+def worth_compiling(rows: int, size: int, active: int) -> bool:
+    """Whether what is learned is large enough for kernels."""
+    return active > 1 and rows * size >= WORTH_COMPILING
+
+
+def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
+    """Return the form that is quicker for so many weights and active features (0: unknown, so the dense one)."""
+    for name, number in (("size", size), ("actions", rows)):
+        if number < 1:
+            raise SpecError(f"{name} is {number}: give 1 or more.")
+    linear = kernels.load("linear") if worth_compiling(rows, size, active) else None
+    return DenseTraces(rows, size, initial) if linear is None else LazyTraces(rows, size, initial, linear)
+
+
+class DenseTraces:
+    """The plain form: two arrays. Where there is no trace to decay, it touches only what is active."""
+
+    def __init__(self, rows: int, size: int, initial: float) -> None:
+        claim(16 * rows * size, "weights and their trace")
+        self.size = size
+        self._weights: FloatArray = np.full((rows, size), initial, dtype=np.float64)
+        self._trace: FloatArray = np.zeros((rows, size))
+        self._empty = True
+
+    @property
+    def weights(self) -> FloatArray:
+        """A copy of the weights, shape (rows, size)."""
+        return self._weights.copy()
+
+    def value(self, row: int, features: FeatureVector) -> float:
+        """Return the inner product of one row of the weights and the features."""
+        try:
+            return product(self._weights[row], features)
+        except IndexError:
+            check_range(row, features, *self._weights.shape)
+            raise
+
+    def values(self, features: FeatureVector) -> FloatArray:
+        """Return the inner products of every row, shape (rows,)."""
+        try:
+            return products(self._weights, features)
+        except IndexError:
+            check_range(0, features, *self._weights.shape)
+            raise
+
+    def credit(
+        self, row: int, features: FeatureVector, target: float, alpha: float, decay: float, replacing: bool = False
+    ) -> float:
+        """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
+        delta = target - self.value(row, features)
+        if not math.isfinite(delta):
+            return delta
+        kept = 0.0 if replacing else self._trace[row, features.indices]
+        self._trace[row, features.indices] = kept + values_of(features)
+        self._move(row, features, alpha * delta, decay)
+        return delta
+
+    def dutch(
+        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
+    ) -> float:
+        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
+        value, values = self.value(row, features), values_of(features)
+        before = value if math.isnan(estimate) else estimate
+        delta = target - before
+        if not math.isfinite(delta + value):
+            return math.nan
+        traced = product(self._trace[row], features)
+        self._trace[row, features.indices] += alpha * (1.0 - traced) * values
+        self._weights[row, features.indices] += alpha * (before - value) * values
+        self._move(row, features, delta, decay)
+        return delta
+
+    def reset(self) -> None:
+        """Set the trace to 0."""
+        self._trace[:] = 0.0
+        self._empty = True
+
+    def save(self) -> Saved:
+        """Return weights and trace, shape (rows, size)."""
+        return {"weights": self._weights.copy(), "trace": self._trace.copy(), "scale": 1.0, "shift": 0.0}
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state, of either form."""
+        parts = _parts(saved, self._weights.shape)
+        self._weights[:] = parts.weights + parts.shift * parts.trace
+        self._trace[:] = parts.scale * parts.trace
+        self._empty = not self._trace.any()
+
+    def _move(self, row: int, features: FeatureVector, step: float, decay: float) -> None:
+        """Move the weights by step·e, and let e decay: everywhere, unless only what is active has a trace."""
+        touched: Any = (row, features.indices) if self._empty else ...
+        self._weights[touched] += step * self._trace[touched]
+        self._trace[touched] *= decay
+        self._empty = decay == 0.0
+
+
+class LazyTraces:
+    """The compiled form; `linear` are its kernels."""
+
+    def __init__(self, rows: int, size: int, initial: float, linear: ModuleType) -> None:
+        claim(32 * rows * size, "weights and their trace")
+        self.size, self._shape, self._kernels = size, (rows, size), linear
+        self._value, self._credit, self._dutch = linear.value, linear.credit, linear.dutch
+        self._cells: FloatArray = np.zeros((rows * size + 1, 4))
+        self._cells[:-1, linear.U] = initial
+        self._cells[-1, linear.SCALE] = 1.0
+
+    @property
+    def weights(self) -> FloatArray:
+        """A copy of the weights, shape (rows, size)."""
+        u, trace = self._column(self._kernels.U), self._column(self._kernels.TRACE)
+        weights: FloatArray = u + self._cells[-1, self._kernels.SHIFT] * trace
+        return weights
+
+    def value(self, row: int, features: FeatureVector) -> float:
+        """Return the inner product of one row of the weights and the features."""
+        indices, values = features
+        values = ALL_ONES if values is None else values
+        try:
+            found: float = self._value(self._cells, row, self.size, indices, values)
+        except TypeError:
+            found = self._value(self._cells, row, self.size, *as_arrays(features))
+        if found != found:
+            self._check_range(row, features)
+        return found
+
+    def values(self, features: FeatureVector) -> FloatArray:
+        """Return the inner products of every row, shape (rows,)."""
+        indices, values = features
+        values = ALL_ONES if values is None else values
+        try:
+            found: FloatArray = self._kernels.all_values(self._cells, self.size, indices, values)
+        except TypeError:
+            found = self._kernels.all_values(self._cells, self.size, *as_arrays(features))
+        if found[0] != found[0]:
+            self._check_range(0, features)
+        return found
+
+    def credit(
+        self, row: int, features: FeatureVector, target: float, alpha: float, decay: float, replacing: bool = False
+    ) -> float:
+        """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
+        indices, values = features
+        values = ALL_ONES if values is None else values
+        try:
+            delta: float = self._credit(
+                self._cells, row, self.size, indices, values, target, alpha, decay, replacing
+            )
+        except TypeError:
+            known = as_arrays(features)
+            delta = self._credit(self._cells, row, self.size, *known, float(target), alpha, decay, replacing)
+        if delta != delta:
+            self._check_range(row, features)
+        return delta
+
+    def dutch(
+        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
+    ) -> float:
+        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
+        indices, values = features
+        values = ALL_ONES if values is None else values
+        try:
+            delta: float = self._dutch(self._cells, row, self.size, indices, values, target, estimate, alpha, decay)
+        except TypeError:
+            known = as_arrays(features)
+            delta = self._dutch(self._cells, row, self.size, *known, float(target), estimate, alpha, decay)
+        if delta != delta:
+            self._check_range(row, features)
+        return delta
+
+    def reset(self) -> None:
+        """Set the trace to 0."""
+        self._kernels.move(self._cells, 0.0, 0.0)
+
+    def save(self) -> Saved:
+        """Return weights and trace, shape (rows, size), before scale and shift are written into them."""
+        last, k = self._cells[-1], self._kernels
+        return {
+            "weights": self._column(k.U).copy(),
+            "trace": self._column(k.TRACE).copy(),
+            "scale": float(last[k.SCALE]),
+            "shift": float(last[k.SHIFT]),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state, of either form."""
+        parts, k = _parts(saved, self._shape), self._kernels
+        self._column(k.U)[:], self._column(k.TRACE)[:] = parts.weights, parts.trace
+        support = np.flatnonzero(parts.trace)
+        self._cells[:-1, k.INSIDE] = 0.0
+        self._cells[support, k.INSIDE] = 1.0
+        self._cells[: support.size, k.SUPPORT] = support
+        self._cells[-1, [k.SCALE, k.SHIFT, k.COUNT]] = parts.scale, parts.shift, support.size
+
+    def _column(self, which: int) -> FloatArray:
+        return self._cells[:-1, which].reshape(self._shape)
+
+    def _check_range(self, row: int, features: FeatureVector) -> None:
+        """Say so if it was an index out of range that gave NaN."""
+        check_range(row, features, *self._shape)
+
+
+@dataclass
+class _Parts:
+    """What is saved: weights + shift · trace are the weights, scale · trace is the trace."""
+
+    weights: FloatArray
+    trace: FloatArray
+    scale: float = 1.0
+    shift: float = 0.0
+
+
+def _parts(saved: Saved, shape: tuple[int, int]) -> _Parts:
+    parts = _Parts(np.empty(shape), np.empty(shape))
+    restore_fields(parts, ("weights", "trace", "scale", "shift"), saved)
+    return parts
+
+
+def check_range(row: int, features: FeatureVector, rows: int, size: int) -> None:
+    """Raise `SpecError` for an action or a feature that there are no weights for."""
+    if not 0 <= row < rows:
+        raise SpecError(f"there is no action {row}: this learner was made for {rows}.")
+    for index in features.indices:
+        if not 0 <= index < size:
+            raise SpecError(f"there is no feature {index}: this learner was made with size {size}.")
+
+
+def as_arrays(features: FeatureVector) -> tuple[IndexArray, FloatArray]:
+    """Return indices and values as kernels take them, whatever type or layout they have."""
+    values = ALL_ONES if features.values is None else np.require(features.values, np.float64, ["C", "W"])
+    return np.require(features.indices, np.int64, ["C", "W"]), values
+
+
+def values_of(features: FeatureVector) -> FloatArray | float:
+    """Return the values of active features: 1 where they have none."""
+    return 1.0 if features.values is None else features.values
+
+
+def product(weights: FloatArray, features: FeatureVector) -> float:
+    """Return the inner product of `weights`, shape (size,), and `features`."""
+    if features.values is not None:
+        return float(weights[features.indices] @ features.values)
+    if features.indices.size == 1:
+        return float(weights[features.indices[0]])
+    return float(weights[features.indices].sum())
+
+
+def products(weights: FloatArray, features: FeatureVector) -> FloatArray:
+    """Return the inner products of every row of `weights`, shape (rows, size), and `features`."""
+    if features.values is None and features.indices.size == 1:
+        return weights[:, features.indices[0]].copy()
+    columns = weights[:, features.indices]
+    values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
+    return values
