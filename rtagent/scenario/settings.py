@@ -46,6 +46,6 @@ def _key_types(kind: Any) -> dict[str, Any]:
 
 
 def _item_type(kind: Any) -> Any:
-    """Return the type of the values of a dict type."""
-    arguments = get_args(kind)
+    """Return the type of the values of a dict type, or of the items of a tuple type."""
+    arguments = [argument for argument in get_args(kind) if argument is not Ellipsis]
     return arguments[-1] if arguments else Any
