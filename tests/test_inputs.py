@@ -159,7 +159,7 @@ def test_whatever_is_read_a_coder_is_shown_what_its_specs_promise(
         assert inputs.masked[name] == sum(not spec.low <= reading[place] <= spec.high for reading in readings)
 
 
-@pytest.mark.parametrize("decay", [0.9, 0.99, 0.999, 0.37])
+@pytest.mark.parametrize("decay", [0.9, 0.999, 0.09, 0.21])  # the last two round to above 1
 def test_a_signal_that_stays_at_its_end_never_leaves_the_unit_interval(decay: float) -> None:
     inputs = Inputs({"x": Spec(low=0.1, high=0.7)}, traces=[Traced(decay)])
     levels = [inputs((0.7,))[1] for _ in range(30_000)]
@@ -292,12 +292,13 @@ def test_a_restored_coder_goes_on_as_if_nothing_had_been() -> None:
 
 
 def test_what_was_saved_of_something_else_is_refused_and_changes_nothing() -> None:
-    one = composed_arm()
+    one, another = composed_arm(), composed_arm()
     for state in states(10, 1):
         one.encode(state)
     before = one.save()
     narrow = Composed(Inputs(ARM, signals=["*.load"], traces=[Traced(0.5)]), Keeps()).save()
-    for wrong in ({}, {"inputs": {}}, narrow, {"inputs": before["inputs"] | {"cube": narrow["inputs"]["cube"]}}):
+    half = {"inputs": {"trace": another.save()["inputs"]["trace"], "cube": narrow["inputs"]["cube"]}}
+    for wrong in ({}, {"inputs": {}}, narrow, half):
         with pytest.raises(SpecError, match=r"something else|other settings"):
             one.restore(wrong)
         assert one.inputs.trace.values.tolist() == before["inputs"]["trace"]["values"].tolist()
@@ -446,7 +447,9 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, at:
 def test_all_patterns_that_match_nothing_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
         assemble(load(written(tmp_path, TRACED.replace("wall*", "x").replace('["wall_left"]', '["y"]'))))
-    assert ["'x'" in caught.value.problems[0], "'y'" in caught.value.problems[1]] == [True, True]
+    assert len(caught.value.problems) == 2
+    assert "'x'" in caught.value.problems[0]
+    assert "'y'" in caught.value.problems[1]
 
 
 def test_the_schema_knows_the_input() -> None:

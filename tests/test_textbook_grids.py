@@ -125,7 +125,7 @@ def test_sarsa_comes_to_the_shortest_way_and_to_the_best_average() -> None:
     quick, rng = windy_learner(0.5), np.random.default_rng(2)
     walk_windily(quick, rng, 8000)
     careful = windy_learner(0.05)
-    careful.weights[:] = quick.weights
+    careful.restore(quick.save())
     lengths = np.array(walk_windily(careful, rng, 40_000)[-600:])
     assert greedy_return(careful, windy, WINDY_START, WINDY_GOAL) == -15
     best = -best_return(windy, WINDY_SIZE, WINDY_START, WINDY_GOAL, EPSILON)

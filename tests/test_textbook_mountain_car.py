@@ -55,12 +55,21 @@ def episode(coder: TileCoding, learner: Sarsa, rng: np.random.Generator) -> int:
 @cache
 def steps(lambda_: float, alpha_times_tilings: float) -> NDArray[np.float64]:
     """Return the steps of the episodes, shape (runs, episodes)."""
-    return np.array([run(lambda_, alpha_times_tilings / 8, seed) for seed in range(RUNS)])
+    return np.array([run(lambda_, alpha_times_tilings, seed) for seed in range(RUNS)])
 
 
-def run(lambda_: float, alpha: float, seed: int) -> list[int]:
+def run(lambda_: float, alpha_times_tilings: float, seed: int) -> list[int]:
     coder = TileCoding(state=STATE, layers=(Tilings(8, 8),))
-    learner = Sarsa(size=coder.size, actions=3, alpha=alpha, gamma=1.0, lambda_=lambda_, trace="replacing")
+    learner = Sarsa(
+        size=coder.size,
+        active=coder.active,
+        actions=3,
+        alpha=alpha_times_tilings,
+        divide_alpha=True,
+        gamma=1.0,
+        lambda_=lambda_,
+        trace="replacing",
+    )
     rng = np.random.default_rng(seed)
     return [episode(coder, learner, rng) for _ in range(EPISODES)]
 

@@ -72,6 +72,28 @@ def mean_error(learner: TD | TrueOnlineTD, episodes: list[list[Transition]]) -> 
     return float(np.mean(found))
 
 
+def boxed_error(curve: Curve, alpha: float, episodes: list[list[Transition]]) -> float:
+    """Return what the pseudocode of sections 12.2 and 12.5 gives, with dense vectors."""
+    make, lambda_ = curve
+    w, found = np.zeros(STATES), []
+    for episode in episodes:
+        z, old = np.zeros(STATES), 0.0
+        for t in episode:
+            x = np.eye(STATES)[t.features.indices[0]]
+            following = np.zeros(STATES) if t.terminated else np.eye(STATES)[t.next_features.indices[0]]
+            value, next_value = w @ x, w @ following
+            delta = t.reward + next_value - value
+            if make is TD:
+                z = lambda_ * z + x
+                w = w + alpha * delta * z
+            else:
+                z = lambda_ * z + (1 - alpha * lambda_ * (z @ x)) * x
+                w = w + alpha * (delta + value - old) * z - alpha * (value - old) * x
+            old = next_value
+        found.append(np.sqrt(np.mean((w - VALUES) ** 2)))
+    return float(np.mean(found))
+
+
 def band(found: NDArray[np.float64]) -> float:
     """Return three standard errors of the mean."""
     return float(3 * found.std(ddof=1) / np.sqrt(len(found)))
@@ -127,3 +149,10 @@ def test_at_large_steps_td_diverges_and_true_online_td_does_not() -> None:
 def test_without_traces_the_two_are_one() -> None:
     for alpha in (0.4, 0.8):
         assert errors((TD, 0.0), alpha) == pytest.approx(errors((TrueOnlineTD, 0.0), alpha), rel=1e-9)
+
+
+@pytest.mark.parametrize("curve", [(TD, 0.8), (TrueOnlineTD, 0.8)], ids=["td", "true online td"])
+def test_the_errors_are_those_of_the_pseudocode_on_the_same_walks(curve: Curve) -> None:
+    alpha, _ = FIGURES[curve]
+    expected = [boxed_error(curve, alpha, run) for run in walks()[:4]]
+    assert errors(curve, alpha)[:4].tolist() == pytest.approx(expected, rel=1e-9)
