@@ -14,8 +14,8 @@ from rtagent import kernels
 from rtagent.experience import FeatureVector, Transition
 from rtagent.learning import TrueOnlineTD
 from rtagent.learning.cumulants import Cumulants, Signal, Within
-from rtagent.learning.lazy_trace import LazyTrace
-from rtagent.learning.shared_trace import Precision, SharedTrace, Step, TraceGroup, shared_trace
+from rtagent.learning.lazy_trace import LazyTrace, shared_trace
+from rtagent.learning.shared_trace import Precision, SharedTrace, Step, TraceGroup
 
 SIGNALS = 3
 NOWHERE = FeatureVector(np.zeros(0, dtype=np.intp))

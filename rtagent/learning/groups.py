@@ -11,6 +11,7 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.learning.demons import Demon
+from rtagent.learning.lazy_trace import shared_trace
 from rtagent.learning.off_policy import GTD
 from rtagent.learning.one_by_one import OneByOne
 from rtagent.learning.prediction import TD
@@ -24,7 +25,6 @@ from rtagent.learning.shared_trace import (
     restored_features,
     same_features,
     save_features,
-    shared_trace,
 )
 from rtagent.learning.steps import Discount, Rates, step_size
 from rtagent.learning.swift import SwiftTD

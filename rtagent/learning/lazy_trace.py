@@ -22,18 +22,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rtagent import kernels
 from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.cumulants import Cumulants
 from rtagent.learning.shared_trace import (
     NOTHING,
     Precision,
+    SharedTrace,
     Step,
+    TraceGroup,
     Vector,
     refuse_unknown,
     restored_features,
     same_features,
     save_features,
 )
+from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
 SMALLEST_SCALE = {"float32": 2e-3, "float64": 1e-5}
@@ -239,6 +243,16 @@ class LazyTrace:
         """Take a saved state."""
         restore_fields(self, SAVED, saved)
         self._here = restored_features(saved)
+
+
+def shared_trace(size: int, cumulants: Cumulants, alpha: float, precision: Precision) -> TraceGroup:
+    """Return a group in its fast form, or in the plain one where there is no compiler."""
+    itemsize = np.dtype(precision).itemsize
+    claim(size * len(cumulants) * itemsize, f"the weights of {len(cumulants):,} demons over {size:,} features")
+    compiled = kernels.load("shared_trace")
+    if compiled is None:
+        return SharedTrace(size, cumulants, alpha, precision)
+    return LazyTrace(size, cumulants, alpha, precision, compiled)
 
 
 def _rest(features: FeatureVector, done: FeatureVector) -> FeatureVector:

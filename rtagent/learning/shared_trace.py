@@ -13,11 +13,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtagent import kernels
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
-from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
 Precision = Literal["float32", "float64"]
@@ -130,18 +128,6 @@ class SharedTrace:
         """Take a saved state."""
         restore_fields(self, SAVED, saved)
         self._here = restored_features(saved)
-
-
-def shared_trace(size: int, cumulants: Cumulants, alpha: float, precision: Precision) -> TraceGroup:
-    """Return a group in its fast form, or in the plain one where there is no compiler."""
-    itemsize = np.dtype(precision).itemsize
-    claim(size * len(cumulants) * itemsize, f"the weights of {len(cumulants):,} demons over {size:,} features")
-    compiled = kernels.load("shared_trace")
-    if compiled is None:
-        return SharedTrace(size, cumulants, alpha, precision)
-    from rtagent.learning.lazy_trace import LazyTrace
-
-    return LazyTrace(size, cumulants, alpha, precision, compiled)
 
 
 def save_features(features: FeatureVector) -> Saved:

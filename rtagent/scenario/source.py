@@ -64,9 +64,10 @@ class Source:
             return f"--set {override}: write it as key=value, such as --set run.seed=2."
         table: Any = self.values
         for name in names[:-1]:
+            kind = "no place in the list" if isinstance(table, list) else "a value, not a table"
             table = _inner(table, name)
             if table is None:
-                return f"--set {override}: {name!r} is no table, nor a place in a list."
+                return f"--set {override}: {name!r} is {kind}."
         if isinstance(table, list):
             return f"--set {override}: {names[-1]!r} is a place in a list: name a key of the table there."
         table[names[-1]] = _value(text)
