@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from types import NoneType
 from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, create_model
@@ -46,6 +47,8 @@ def _key_types(kind: Any) -> dict[str, Any]:
 
 
 def _item_type(kind: Any) -> Any:
-    """Return the type of the values of a dict type."""
+    """Return the type of the values of a dict type, also of one that may be left out."""
     arguments = get_args(kind)
+    if NoneType in arguments:
+        return _item_type(next(each for each in arguments if each is not NoneType))
     return arguments[-1] if arguments else Any
