@@ -50,7 +50,7 @@ def available_memory() -> int | None:
 
 def describe_size(size: float) -> str:
     """Write a size with three digits and its unit: `4.8 GB`."""
-    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+    for unit, scale in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if size >= scale:
             return f"{size / scale:.3g} {unit}"
     return f"{size:.0f} B"

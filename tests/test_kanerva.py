@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 
 from rtagent import Spec
 from rtagent.errors import SpecError
-from rtagent.features import KanervaCoding, SelectiveKanerva
-from rtagent.features.kanerva import SparseMemory, smallest
+from rtagent.features import KanervaCoding, SelectiveKanerva, SparseMemory
+from rtagent.features.prototypes import smallest
 from rtagent.scenario import assemble, load
 
 NORMS = {"euclidean": 2.0, "city_block": 1.0, "max": np.inf}

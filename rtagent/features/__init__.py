@@ -2,7 +2,8 @@
 
 from rtagent.features.coder import FeatureCoder, Remembering
 from rtagent.features.inputs import Composed, DataTrace, Inputs, Traced
-from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva, SparseMemory
+from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
+from rtagent.features.sparse import SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
 from rtagent.features.tiles import TileCoding, Tilings
 

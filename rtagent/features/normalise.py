@@ -52,9 +52,9 @@ class UnitCube:
         return self._settled(self.values(state))
 
     def values(self, state: State) -> FloatArray:
-        """Return the state as an array; raise `SpecError` where it is not one number for each signal."""
+        """Return the state as a new array; raise `SpecError` where it is not one number for each signal."""
         try:
-            values = np.asarray(state, dtype=np.float64)
+            values = np.array(state, dtype=np.float64)
         except (TypeError, ValueError):
             raise SpecError(f"the state {state!r} is not a sequence of numbers: {self._expected}.") from None
         if values.shape != self.low.shape:

@@ -4,11 +4,13 @@ from rtagent.learning.control import ExpectedSarsa, QLearning, Sarsa
 from rtagent.learning.demons import Continuation, Demon, Demons, Method
 from rtagent.learning.horde import Horde
 from rtagent.learning.learner import ControlLearner, Learner, PredictionLearner
+from rtagent.learning.off_policy import GTD
 from rtagent.learning.prediction import TD
 from rtagent.learning.swift import SwiftTD
 from rtagent.learning.true_online import TrueOnlineSarsa, TrueOnlineTD
 
 __all__ = [
+    "GTD",
     "TD",
     "Continuation",
     "ControlLearner",

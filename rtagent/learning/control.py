@@ -8,6 +8,10 @@ nothing, where its delta is not finite.
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, taken
 from rtagent.learning.steps import Fraction, GammaPer, Rates, Trace, step_size
@@ -107,13 +111,16 @@ class QLearning:
         t, q, action = transition, self._q, taken(transition.action)
         gamma, decay = self._rates(t)
         target = t.reward + gamma * float(q.values(t.next_features).max()) if gamma else t.reward
+        checked(target, t)
         if self._has_trace and self._explores(t.features, action):
             q.reset()
         return checked(q.credit(action, t.features, target, self.alpha, decay, self._replacing), t)
 
     def _explores(self, features: FeatureVector, action: int) -> bool:
         values = self._q.values(features)
-        return bool(values[action] < values.max())
+        if not 0 <= action < values.size:
+            return False
+        return bool(-math.inf < values[action] < values.max())
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -168,6 +175,8 @@ class ExpectedSarsa:
 
     def _expectation(self, features: FeatureVector) -> float:
         values = self.action_values(features)
+        if not np.isfinite(values).all():
+            return math.nan
         return float(self._policy.probabilities(values) @ values)
 
     def save(self) -> Saved:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rtagent.errors import SpecError
 from rtagent.learning.cumulants import Cumulant, Signal, Within
+from rtagent.learning.off_policy import Target
 from rtagent.learning.steps import Fraction, GammaPer, checked_fraction
 from rtagent.specs import Spec
 
@@ -48,20 +49,27 @@ class Method:
 class Demon:
     """A general value function: the return of a cumulant, over a continuation, under a policy, and its learning.
 
-    `policy` is the probability of every action under the policy that it asks about (None: as the agent behaves).
-    `normalised`: it predicts (1 - γ) times the return, an average in the cumulant's own unit. `span` is the range
-    of its cumulant; `on` names the sets of demons whose predictions are features for it, `set` its own.
+    `policy` is the target policy that it asks about, as for `GTD` (None: as the agent behaves). `normalised`: it
+    predicts (1 - γ) times the return, an average in the cumulant's own unit. `span` is the range of its
+    cumulant; `on` names the sets of demons whose predictions are features for it, `set` its own.
     """
 
     name: str
     cumulant: Cumulant
     continuation: Continuation = field(default_factory=Continuation)
-    policy: tuple[float, ...] | None = None
+    policy: Target | None = None
     method: Method = field(default_factory=Method)
     normalised: bool = True
     span: tuple[float, float] = (0.0, 1.0)
     on: tuple[str, ...] = ()
     set: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.policy is None) == (self.method.algorithm == "gtd"):
+            raise SpecError(
+                f"demon {self.name!r} has the policy {self.policy} and learns by {self.method.algorithm}: "
+                "gtd, and nothing else, learns about a policy that is not the agent's own."
+            )
 
     @property
     def shared(self) -> tuple[object, ...]:

@@ -11,13 +11,26 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.learning.demons import Demon
+from rtagent.learning.off_policy import GTD
 from rtagent.learning.one_by_one import OneByOne
 from rtagent.learning.prediction import TD
 from rtagent.learning.returns import PredictionErrors, Rupee, Verifier
-from rtagent.learning.shared_trace import Precision, Step, TraceGroup, numbers_of, shared_trace
+from rtagent.learning.shared_trace import (
+    NOTHING,
+    Precision,
+    Step,
+    TraceGroup,
+    numbers_of,
+    restored_features,
+    same_features,
+    save_features,
+    shared_trace,
+)
 from rtagent.learning.steps import Discount, Rates, step_size
 from rtagent.learning.swift import SwiftTD
 from rtagent.saving import Saved
+
+LEARNERS: dict[str, Any] = {"td": TD, "swift_td": SwiftTD, "gtd": GTD}
 
 
 class DemonGroup:
@@ -44,9 +57,7 @@ class DemonGroup:
         self._spans = np.array([demon.span for demon in demons]).T
         self.learned = _learner(first, cumulants, size + self._layer.extra, active, precision)
         alpha = step_size(first.method.alpha, first.method.divide_alpha, active)
-        shares = first.method.algorithm == "true_online_td"
-        self._alpha = alpha
-        self._rupee = Rupee(size + self._layer.extra, len(watched), alpha) if rupee and watched and shares else None
+        self._rupee = Rupee(size + self._layer.extra, len(watched), alpha) if rupee and watched else None
 
     def predict(self, features: FeatureVector) -> FloatArray:
         """Return the predictions, shape (demons,)."""
@@ -65,6 +76,10 @@ class DemonGroup:
         low, high = self._spans
         fractions: FloatArray = np.clip((predictions - low) / (high - low), 0.0, 1.0)
         return fractions
+
+    def begin(self, transition: Transition) -> None:
+        """See to its features, before any group has learned from a transition."""
+        self._layer.begin(transition)
 
     def updating(self, transition: Transition, signals: FloatArray) -> Generator[None, None, None]:
         """Learn a transition in slices; `signals` are what cumulants are taken of."""
@@ -88,9 +103,8 @@ class DemonGroup:
         self._predicted = None if step.last else self.learned.estimate[self._watched].astype(float)
 
     def _add_rupee(self, rupee: Rupee, step: Step) -> None:
-        places, trace = self.learned.eligible()
         delta = self.learned.delta[self._watched].astype(float)
-        rupee.add(places, trace / self._alpha, step.features.indices, numbers_of(step.features), delta)
+        rupee.add(step.features.indices, numbers_of(step.features), delta, step.decay)
 
     def errors(self) -> Iterator[tuple[str, PredictionErrors]]:
         """Yield the errors of the watched demons, with their names."""
@@ -129,21 +143,26 @@ class _Layer:
         for group in below:
             group.check_spans()
         self._own = np.arange(size, size + self.extra)
-        self._newest: FeatureVector | None = None
+        self._base, self._newest = NOTHING, NOTHING
 
     def __call__(self, features: FeatureVector) -> FeatureVector:
         if not self._below:
             return features
         return self._joined(features, [group.predict(features) for group in self._below])
 
+    def begin(self, t: Transition) -> None:
+        """See to the features of a transition's beginning, before the groups below have learned from it."""
+        if self._below and not same_features(self._base, t.features):
+            self._newest = self(t.features)
+
     def step(self, t: Transition) -> tuple[FeatureVector, FeatureVector]:
         """Return the features of both ends of a transition, after the groups below have learned from it."""
         if not self._below:
             return t.features, t.next_features
-        features = self._newest or self(t.features)
-        following = self._joined(t.next_features, [group.learned.estimate for group in self._below])
-        self._newest = None if t.last else following
-        return features, following
+        features = self._newest
+        self._newest = self._joined(t.next_features, [group.learned.estimate for group in self._below])
+        self._base = NOTHING if t.last else t.next_features
+        return features, self._newest
 
     def _joined(self, features: FeatureVector, predictions: Sequence[Any]) -> FeatureVector:
         fractions = [group.fractions(each) for group, each in zip(self._below, predictions, strict=True)]
@@ -151,11 +170,10 @@ class _Layer:
         return FeatureVector(indices, np.concatenate((numbers_of(features), *fractions)))
 
     def save(self) -> Saved:
-        newest = self._newest
-        return {"indices": newest.indices.copy(), "values": numbers_of(newest).copy()} if newest else {}
+        return {"base": save_features(self._base), "newest": save_features(self._newest)}
 
     def restore(self, saved: Saved) -> None:
-        self._newest = FeatureVector(saved["indices"].copy(), saved["values"].copy()) if saved else None
+        self._base, self._newest = restored_features(saved["base"]), restored_features(saved["newest"])
 
 
 def _learner(demon: Demon, cumulants: Cumulants, size: int, active: int, precision: Precision) -> TraceGroup:
@@ -171,5 +189,6 @@ def _learner(demon: Demon, cumulants: Cumulants, size: int, active: int, precisi
         "gamma_per": continuation.per,
         "lambda_": method.lambda_,
     }
-    kinds = {"td": TD, "swift_td": SwiftTD}
-    return OneByOne(cumulants, [kinds[method.algorithm](**settings) for _ in range(len(cumulants))])
+    if method.algorithm == "gtd":
+        settings["target"] = demon.policy
+    return OneByOne(cumulants, [LEARNERS[method.algorithm](**settings) for _ in range(len(cumulants))])

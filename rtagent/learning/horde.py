@@ -96,6 +96,8 @@ class Horde:
         """Do what `update` does, in slices."""
         signals = self._signals(transition)
         for group in self.groups:
+            group.begin(transition)
+        for group in self.groups:
             yield from group.updating(transition, signals)
         square = sum(float(group.learned.delta @ group.learned.delta) for group in self.groups)
         return math.sqrt(square / len(self))

@@ -24,7 +24,15 @@ from numpy.typing import NDArray
 
 from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.cumulants import Cumulants
-from rtagent.learning.shared_trace import Precision, Step, Vector
+from rtagent.learning.shared_trace import (
+    NOTHING,
+    Precision,
+    Step,
+    Vector,
+    restored_features,
+    same_features,
+    save_features,
+)
 from rtagent.saving import Saved, restore_fields, save_fields
 
 SMALLEST_SCALE = {"float32": 2e-3, "float64": 1e-5}
@@ -46,10 +54,9 @@ LEAST_SLICE = 32
 FOLD_DEMONS = 4096
 """A fold goes through the rows of so many demons at a time."""
 
-NOTHING = FeatureVector(np.zeros(0, dtype=np.int64))
 SAVED = (
     "_table", "total", "beta", "offset", "estimate", "_trace", "_support", "_count", "_scale", "_decay", "_fresh",
-    "_here", "_listed",
+    "_listed",
 )  # fmt: skip
 
 
@@ -70,6 +77,7 @@ class LazyTrace:
     ) -> None:
         demons = len(cumulants)
         self.cumulants, self._alpha, self._kernels = cumulants, alpha, compiled
+        self.slice_bytes = SLICE_BYTES
         self._smallest, self._least = SMALLEST_SCALE[precision], LEAST_TRACE[precision] * alpha
         self._table: NDArray[Any] = np.zeros((size, demons), precision)
         self.total, self.beta, self.offset, self.estimate = np.zeros((4, demons), precision)
@@ -95,11 +103,6 @@ class LazyTrace:
         weights[self._here.indices] += np.outer(self._numbers(self._here), self.offset).astype(weights.dtype)
         return weights
 
-    def eligible(self) -> tuple[IndexArray, FloatArray]:
-        """Return the features whose trace is not 0, and their traces."""
-        places = self._support[: self._count].copy()
-        return places, self._scale * self._trace[places]
-
     def predict(self, features: FeatureVector) -> Vector:
         """Return the predictions, shape (demons,)."""
         out, first = np.empty_like(self.estimate), 0
@@ -111,7 +114,7 @@ class LazyTrace:
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
         features = _writable(step.features)
-        if not _same(features, self._here):  # what came before is not known: the trace is cut here
+        if not same_features(features, self._here):  # what came before is not known: the trace is cut here
             yield from self._settle(features, 0.0)
             self._fresh = True
         elif self._count and self._scale * self._decay < self._smallest:
@@ -186,7 +189,7 @@ class LazyTrace:
         self, features: FeatureVector, demons: int
     ) -> Iterator[tuple[FeatureVector, tuple[IndexArray, Vector]]]:
         """Yield the rows of `features`, some at a time, and all up to these."""
-        each = max(1, SLICE_BYTES // (2 * demons * self.estimate.itemsize))
+        each = max(1, self.slice_bytes // (2 * demons * self.estimate.itemsize))
         values = self._numbers(features)
         for first in range(0, len(features.indices), each):
             some, done = slice(first, first + each), slice(0, first + each)
@@ -219,18 +222,17 @@ class LazyTrace:
     def _slices(self, touches: int) -> list[tuple[int, int]]:
         """Cut the demons into slices of about the same work, each demon with so many touches of weights."""
         demons = len(self.estimate)
-        each = max(LEAST_SLICE, SLICE_BYTES // (touches * self.estimate.itemsize + VECTOR_BYTES))
+        each = max(LEAST_SLICE, self.slice_bytes // (touches * self.estimate.itemsize + VECTOR_BYTES))
         return [(first, min(first + each, demons)) for first in range(0, demons, each)]
 
     def save(self) -> Saved:
         """Return the state, exactly; not to be called in the middle of a step."""
-        saved = save_fields(self, SAVED)
-        return saved | {"_here": self._here.indices.copy(), "_values": self._numbers(self._here).copy()}
+        return save_fields(self, SAVED) | save_features(self._here)
 
     def restore(self, saved: Saved) -> None:
         """Take a saved state."""
-        values = None if np.all(saved["_values"] == 1.0) else saved["_values"].copy()
-        restore_fields(self, SAVED, saved | {"_here": FeatureVector(saved["_here"].copy(), values)})
+        restore_fields(self, SAVED, saved)
+        self._here = restored_features(saved)
 
 
 def _rest(features: FeatureVector, done: FeatureVector) -> FeatureVector:
@@ -244,12 +246,3 @@ def _writable(features: FeatureVector) -> FeatureVector:
     if features.indices.flags.writeable and (features.values is None or features.values.flags.writeable):
         return features
     return FeatureVector(features.indices.copy(), None if features.values is None else features.values.copy())
-
-
-def _same(one: FeatureVector, other: FeatureVector) -> bool:
-    if one is other:
-        return True
-    alike = np.array_equal(one.indices, other.indices)
-    if one.values is None or other.values is None:
-        return alike and one.values is other.values
-    return alike and np.array_equal(one.values, other.values)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtagent.experience import FeatureVector, FloatArray, IndexArray
+from rtagent.experience import FeatureVector
 from rtagent.learning.cumulants import Cumulants
-from rtagent.learning.shared_trace import NO_TRACE, Step, Vector
+from rtagent.learning.shared_trace import Step, Vector
 from rtagent.saving import Saved
 
 
@@ -39,10 +39,6 @@ class OneByOne:
             self.delta[place] = learner.update(replace(common, reward=float(self.cumulant[place])))
             self.estimate[place] = learner.predict(step.next_features)
             yield
-
-    def eligible(self) -> tuple[IndexArray, FloatArray]:
-        """Return nothing: there is no trace that all share."""
-        return NO_TRACE
 
     def save(self) -> Saved:
         """Return the state of each learner."""

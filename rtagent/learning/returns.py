@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from rtagent.experience import FloatArray
+from rtagent.experience import FloatArray, IndexArray
+from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
 TOLERANCE = 1e-3
@@ -16,6 +18,9 @@ TOLERANCE = 1e-3
 
 MOST_PENDING = 100_000
 """Predictions that have waited for their return behind so many others are given up, and counted."""
+
+LEAST_TRACE = 1e-6
+SMALLEST_SCALE = 1e-100
 
 SLICE = 64
 """So many steps of a return are summed up at a time."""
@@ -87,13 +92,12 @@ class Verifier:
     def errors(self, rupees: Sequence[float] | None = None) -> list[PredictionErrors]:
         """Return the errors of each demon."""
         count = max(1, self.verified)
+        means, squares = (self.absolute / count).tolist(), (self.squared / count).tolist()
+        known = rupees if rupees is not None else [None] * len(means)
         return [
-            PredictionErrors(
-                absolute / count, (squared / count) ** 0.5, rupees[place] if rupees else None, self.verified,
-                self.unverified,
-            )
-            for place, (absolute, squared) in enumerate(zip(self.absolute, self.squared, strict=True))
-        ]  # fmt: skip
+            PredictionErrors(mean, math.sqrt(square), rupee, self.verified, self.unverified)
+            for mean, square, rupee in zip(means, squares, known, strict=True)
+        ]
 
     def save(self) -> Saved:
         """Return the sums and what is still pending."""
@@ -123,25 +127,28 @@ class Rupee:
     """Recent unsigned projected error estimate of a few demons (White 2015, Developing a predictive approach).
 
     RUPEE = sqrt(|hᵀ E[δe]|): h estimates by least squares the projection of δe on the features, at step size
-    `alpha`; the average forgets with rate `beta`. Only active features are touched.
+    `alpha`; the average forgets at the rate `beta`. The trace e accumulates. Only its rows are touched.
     """
 
     def __init__(self, size: int, demons: int, alpha: float, beta: float = 1e-3) -> None:
+        claim(16 * size * demons, f"the projected errors of {demons} demons")
         self.h, self._average = np.zeros((2, size, demons))
+        self._trace = np.zeros(size)
         self._alpha, self._beta, self._scale, self._bias = alpha, beta, 1.0, 1.0
 
-    def add(
-        self, eligible: np.ndarray, trace: FloatArray, indices: np.ndarray, values: FloatArray, delta: FloatArray
-    ) -> None:
-        """Take one step: a trace by its features, the features of the state, and delta, shape (demons,)."""
-        credit = np.outer(trace, delta)
+    def add(self, indices: IndexArray, values: FloatArray, delta: FloatArray, decay: float) -> None:
+        """Take one step: the features of the state, delta, shape (demons,), and γλ of the next (0: none)."""
+        self._trace[indices] += values
+        rows = np.flatnonzero(np.abs(self._trace) > LEAST_TRACE)
+        credit = np.outer(self._trace[rows], delta)
         projected = values @ self.h[indices]
-        self.h[eligible] += self._alpha * credit
+        self.h[rows] += self._alpha * credit
         self.h[indices] -= self._alpha * np.outer(values, projected)
-        self._scale *= 1.0 - self._beta  # the average is _scale times _average: only the eligible rows change
+        self._scale *= 1.0 - self._beta  # the average is _scale times _average: only the rows change
         self._bias *= 1.0 - self._beta
-        self._average[eligible] += (self._beta / self._scale) * credit
-        if self._scale < 1e-100:
+        self._average[rows] += (self._beta / self._scale) * credit
+        self._trace *= decay
+        if self._scale < SMALLEST_SCALE:
             self._average *= self._scale
             self._scale = 1.0
 
@@ -155,8 +162,8 @@ class Rupee:
 
     def save(self) -> Saved:
         """Return the state."""
-        return save_fields(self, ("h", "_average", "_scale", "_bias"))
+        return save_fields(self, ("h", "_average", "_trace", "_scale", "_bias"))
 
     def restore(self, saved: Saved) -> None:
         """Take a saved state."""
-        restore_fields(self, ("h", "_average", "_scale", "_bias"), saved)
+        restore_fields(self, ("h", "_average", "_trace", "_scale", "_bias"), saved)

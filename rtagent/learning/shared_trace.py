@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtagent import kernels
-from rtagent.experience import FeatureVector, FloatArray, IndexArray, Transition
+from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
@@ -23,11 +23,12 @@ Precision = Literal["float32", "float64"]
 Vector = NDArray[Any]
 """One number for each demon, in the precision of the weights."""
 
+SAVED = ("weights", "trace", "estimate", "_decay", "_fresh")
 SLICE = 100_000
 """A slice touches about so many weights."""
 
 
-NO_TRACE: tuple[IndexArray, FloatArray] = np.zeros(0, dtype=np.intp), np.zeros(0)
+NOTHING = FeatureVector(np.zeros(0, dtype=np.intp))
 
 
 class Step(NamedTuple):
@@ -63,9 +64,6 @@ class TraceGroup(Protocol):
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, with a yield between slices: each demon has then learned it, or not yet."""
 
-    def eligible(self) -> tuple[IndexArray, FloatArray]:
-        """Return the features whose trace is not 0, and their traces."""
-
     def save(self) -> Saved:
         """Return the state."""
 
@@ -87,7 +85,7 @@ class SharedTrace:
         self.weights: NDArray[Any] = np.zeros((self.size, demons), self.precision)
         self.trace: FloatArray = np.zeros(self.size)
         self.estimate, self.delta, self.cumulant = np.zeros((3, demons), self.precision)
-        self._decay, self._fresh = 0.0, True
+        self._here, self._decay, self._fresh = NOTHING, 0.0, True
 
     def predict(self, features: FeatureVector) -> Vector:
         """Return the predictions, shape (demons,)."""
@@ -96,12 +94,15 @@ class SharedTrace:
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
         indices, x = step.features.indices, numbers_of(step.features)
+        if not same_features(step.features, self._here):  # what came before is not known: the trace is cut here
+            self._decay, self._fresh = 0.0, True
         trace = self.trace * self._decay
         trace[indices] += self.alpha * (1.0 - trace[indices] @ x) * x
         self.cumulants.fill(step.signals, step.scale, self.cumulant)
         for some in _slices(len(self.cumulants), len(indices) + int(np.count_nonzero(trace))):
             self._learn(step, trace, some)
             yield
+        self._here = step.next_features
         self.trace, self._decay, self._fresh = trace, step.decay, False
         if step.last:
             self.trace, self._fresh = np.zeros(self.size), True
@@ -119,18 +120,14 @@ class SharedTrace:
         self.delta[some] = delta
         estimate[:] = following
 
-    def eligible(self) -> tuple[IndexArray, FloatArray]:
-        """Return where the trace is not 0, and the trace there."""
-        places = np.flatnonzero(self.trace)
-        return places, self.trace[places]
-
     def save(self) -> Saved:
         """Return weights, trace and estimates."""
-        return save_fields(self, ("weights", "trace", "estimate", "_decay", "_fresh"))
+        return save_fields(self, SAVED) | save_features(self._here)
 
     def restore(self, saved: Saved) -> None:
         """Take a saved state."""
-        restore_fields(self, ("weights", "trace", "estimate", "_decay", "_fresh"), saved)
+        restore_fields(self, SAVED, saved)
+        self._here = restored_features(saved)
 
 
 def shared_trace(size: int, cumulants: Cumulants, alpha: float, precision: Precision) -> TraceGroup:
@@ -143,6 +140,29 @@ def shared_trace(size: int, cumulants: Cumulants, alpha: float, precision: Preci
     from rtagent.learning.lazy_trace import LazyTrace
 
     return LazyTrace(size, cumulants, alpha, precision, compiled)
+
+
+def save_features(features: FeatureVector) -> Saved:
+    """Return feature vectors as they are saved."""
+    return {
+        "indices": features.indices.copy(),
+        "values": None if features.values is None else features.values.copy(),
+    }
+
+
+def restored_features(saved: Saved) -> FeatureVector:
+    """Return the features that were saved."""
+    return FeatureVector(saved["indices"].copy(), None if saved["values"] is None else saved["values"].copy())
+
+
+def same_features(one: FeatureVector, other: FeatureVector) -> bool:
+    """Say whether two feature vectors are equal."""
+    if one is other:
+        return True
+    alike = np.array_equal(one.indices, other.indices)
+    if one.values is None or other.values is None:
+        return alike and one.values is other.values
+    return alike and np.array_equal(one.values, other.values)
 
 
 def _values(weights: NDArray[Any], features: FeatureVector) -> Vector:

@@ -23,7 +23,7 @@ from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields
 
 WORTH_COMPILING = 1000
-"""From so many weights on, with more than one active feature, the lazy form is quicker."""
+"""From so many weights on, with more than one active feature, a quicker update is worth loading the compiler."""
 
 ALL_ONES: FloatArray = np.empty(0)
 """How kernels are told that all values are 1."""

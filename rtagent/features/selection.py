@@ -1,0 +1,121 @@
+"""How selective Kanerva coding finds the nearest prototypes: in plain numpy, or compiled. Both give the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from types import ModuleType
+
+import numpy as np
+
+from rtagent import kernels, memory
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
+from rtagent.features.normalise import UnitCube
+from rtagent.features.prototypes import Distance, distances, lengths, metric, smallest
+
+LISTED = 4
+"""A neighbour list has room for so many times the prototypes that are active."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is selected: from each set of `prototypes`, shape (K, signals), the nearest of each layer.
+
+    The sets lie between successive `bounds`; `counts` has a row for each, with falling numbers for its layers.
+    """
+
+    prototypes: FloatArray
+    bounds: Sequence[int]
+    counts: Sequence[Sequence[int]]
+    distance: Distance
+    proximity: bool
+
+    @property
+    def active(self) -> int:
+        """How many features are active."""
+        return sum(map(sum, self.counts))
+
+
+def selector(cube: UnitCube, selection: Selection) -> Callable[[State], FeatureVector]:
+    """Return what makes features of a state: compiled where there is a compiler."""
+    module = kernels.load("kanerva")
+    return PlainSelector(cube, selection) if module is None else CompiledSelector(cube, selection, module)
+
+
+class PlainSelector:
+    """Sorts out the nearest prototypes by their distances (Algorithm 5)."""
+
+    def __init__(self, cube: UnitCube, selection: Selection) -> None:
+        self._cube, self._selection = cube, selection
+
+    def __call__(self, state: State) -> FeatureVector:
+        """Return the features of `state`, set by set and, in each, layer by layer."""
+        point, made = self._cube(state), self._selection
+        chosen: list[IndexArray] = []
+        values: list[FloatArray] = []
+        for (start, end), counts in zip(pairwise(made.bounds), made.counts, strict=True):
+            measured = distances(made.prototypes[start:end], point, made.distance)
+            nearest = np.arange(end - start)
+            for layer, count in enumerate(counts):
+                values.append(self._values(measured, count))
+                nearest = nearest[smallest(measured[nearest], count)]
+                chosen.append(nearest + start + layer * len(made.prototypes))
+        return FeatureVector(np.concatenate(chosen), np.concatenate(values) if made.proximity else None)
+
+    def _values(self, measured: FloatArray, count: int) -> FloatArray:
+        """Return by how much each of the nearest is nearer than the first left out, summing to `count`."""
+        if not self._selection.proximity:
+            return np.ones(count)
+        nearest = lengths(measured[smallest(measured, count)], self._selection.distance)
+        farther = lengths(measured[smallest(measured, count + 1)], self._selection.distance).max()
+        weights: FloatArray = 1.0 - nearest / farther if farther > 0 else np.zeros(count)
+        total = weights.cumsum()[-1]
+        return weights * (count / total) if total > 0 else np.ones(count)
+
+
+class CompiledSelector:
+    """Asks a list of neighbours, kept from an earlier state, or else all prototypes; see `rtagent.kernels.kanerva`.
+
+    The lists only make it quicker, and change no result. One thread at a time may use it.
+    """
+
+    def __init__(self, cube: UnitCube, selection: Selection, module: ModuleType) -> None:
+        self._cube, self._nearest, self._active = cube, module.nearest, selection.active
+        self._values = np.empty(selection.active if selection.proximity else 0)
+        self._proximity = selection.proximity
+        signals = selection.prototypes.shape[1]
+        sets, layers, room = len(selection.counts), len(selection.counts[0]), _room(selection)
+        columns, places = with_room(selection.prototypes, sets * room)
+        plan = np.array(
+            [metric(selection.distance), sets, layers, room, selection.proximity, *selection.bounds]
+            + [count for counts in selection.counts for count in counts]
+        )
+        remembered = np.full((sets, module.ANCHOR + signals + layers), 0.1)
+        remembered[:, module.LISTED], remembered[:, module.GAP] = 0.0, np.inf
+        ranges = np.stack((cube.low, cube.high, np.full(signals, np.inf)))
+        self._store = ranges, cube.clips, selection.prototypes, columns, places, plan, remembered
+
+    def __call__(self, state: State) -> FeatureVector:
+        """Return the features of `state`, set by set and, in each, layer by layer."""
+        point, indices = self._cube.values(state), np.empty(self._active, dtype=np.intp)
+        values = np.empty(self._active) if self._proximity else self._values
+        wrong = self._nearest(point, indices, values, *self._store)
+        if wrong >= 0:
+            raise self._cube.refuse_nan(wrong)
+        return FeatureVector(indices, values if self._proximity else None)
+
+
+def with_room(prototypes: FloatArray, room: int) -> tuple[np.ndarray, IndexArray]:
+    """Return the prototypes as kernels read them: columns of float32, and whose they are, with room for more."""
+    count, signals = prototypes.shape
+    memory.claim((4 * (signals + 1) + 8) * (count + room), "prototypes, as the kernels read them")
+    columns = np.zeros((signals + 1, count + room), dtype=np.float32)
+    columns[:-1, :count] = prototypes.T
+    return columns, np.arange(count + room)
+
+
+def _room(selection: Selection) -> int:
+    """Return for how many a list of neighbours has room; one of a whole set is none."""
+    most = max(counts[0] for counts in selection.counts) + selection.proximity
+    return LISTED * most
