@@ -43,6 +43,18 @@ def test_demons_predict_what_the_fake_arm_does(capsys: pytest.CaptureFixture[str
     assert "Traceback" not in err
 
 
+def test_a_report_is_not_drowned_in_glitches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.csv"
+    rows = [f"{row},{row % 7 if row % 10 else -1000 - row}\n" for row in range(250)]
+    path.write_text("t,x\n" + "".join(rows))
+    signals = "devices.arm.signals={ x = { low = 0, high = 10 } }"
+    assert main(["run", PREDICT, *SMALL, "--data", str(path), "--set", signals]) == 0
+    out = capsys.readouterr().out
+    assert out.count("a sample was not usable") == 10
+    assert "and 14 other sentences of this kind; --json has them." in out
+    assert re.search(r"arm\.invalid_samples 24, +arm\.x_outside +25", out.replace("\n", " "))
+
+
 @pytest.mark.parametrize("name", ["mine.csv", "mine.csv.gz", "mine.npz"])
 def test_a_recording_of_ones_own_works_at_the_first_try(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
