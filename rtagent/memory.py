@@ -18,10 +18,10 @@ def claim(size: int, what: str) -> None:
     available = available_memory()
     claimed = sum(_ledgers[-1].values()) if _ledgers else 0
     if available is not None and claimed + size > available:
-        before = f" after {describe_size(claimed)} for the rest" if claimed else ""
+        rest = f", after {describe_size(claimed)} for the rest" if claimed else ""
         raise SpecError(
-            f"{what} takes {describe_size(size)}{before}, and this machine has {describe_size(available)} free: "
-            "make it smaller."
+            f"{describe_size(size)} for {what}{rest} is more than the {describe_size(available)} that this machine "
+            "has free: ask for less."
         )
     for ledger in _ledgers:
         ledger[what] = ledger.get(what, 0) + size

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from typing import Any
 
 from rtagent.agent import Agent
 from rtagent.errors import RtagentError
+from rtagent.learning import Verified
+from rtagent.learning.returns import PredictionErrors
 from rtagent.recorder import EpisodeRecord, Fault, Recorder
 from rtagent.schedule import Schedule
 from rtagent.summary import Summary
@@ -90,6 +92,11 @@ class Result:
             if series.count
         }
 
+    def predictions(self, trial: int) -> Mapping[str, PredictionErrors]:
+        """Return the errors of what the agent of a trial predicted, by the names of its demons."""
+        learner = self.agents[trial].learner
+        return learner.errors() if isinstance(learner, Verified) else {}
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; times are in seconds."""
         age, queue = self.recorder.sample_age, self.recorder.queue_length
@@ -110,7 +117,11 @@ class Result:
             "faults": [_fault_dict(fault) for fault in self.faults],
             "not_safe": self.not_safe,
             "trials": [
-                {"trial": trial, "episodes": [_episode_dict(episode) for episode in episodes]}
+                {
+                    "trial": trial,
+                    "episodes": [_episode_dict(episode) for episode in episodes],
+                    "predictions": {name: asdict(errors) for name, errors in self.predictions(trial).items()},
+                }
                 for trial, episodes in groupby(self.episodes, key=lambda episode: episode.trial)
             ],
         }

@@ -295,7 +295,7 @@ def test_bins_need_a_range() -> None:
 
 
 def test_more_than_the_machine_has_is_refused_before_it_is_taken() -> None:
-    with pytest.raises(SpecError, match=r"the weights of 3 demons over 1,000,000,000,000 features takes 12 TB"):
+    with pytest.raises(SpecError, match=r"12 TB for the weights of 3 demons over 1,000,000,000,000 features"):
         Horde(size=10**12, active=1, state=STATE, demons=(Demons(),))
 
 

@@ -104,6 +104,14 @@ def test_declared_signals_are_kept_under_new_names(tmp_path: Path, capsys: pytes
     assert "guessed" not in out
 
 
+def test_some_signals_are_predicted_where_only_those_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", PREDICT, *SHORT, "--set", 'learner.demons.0.signals=["*_load"]']) == 0
+    predicted = set(re.findall(r"^(\w+) γ=", capsys.readouterr().out, re.MULTILINE))
+    assert predicted == {
+        f"{joint}_load" for joint in ("shoulder", "elbow", "wrist_rotation", "wrist_flexion", "hand")
+    }
+
+
 def test_the_number_of_episodes_can_be_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = own_recording(tmp_path / "mine.csv")
     arguments = ["--data", str(path), "--episodes", "4", "--quiet", "--json", "-"]

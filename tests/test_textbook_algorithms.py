@@ -171,7 +171,7 @@ def test_the_nearest_prototype_is_as_far_as_is_to_be_expected(signals: int, coun
 
 
 def expected_distance(point: FloatArray, count: int) -> float:
-    """Return the mean distance of `point` to the nearest of `count` uniform ones: ∫ (1 - share within r)^count dr."""
+    """Return the mean distance of `point` to the nearest of `count` uniform ones: ∫ (1 - share in r)^count dr."""
     r = np.linspace(0, 1, 2001)[:, None]
     share = (np.minimum(point + r, 1) - np.maximum(point - r, 0)).prod(axis=1)
     return float(integrate.trapezoid((1 - share) ** count, r[:, 0]))

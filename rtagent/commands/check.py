@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from rtagent.commands.overrides import overrides
 from rtagent.device import Noting
 from rtagent.errors import ScenarioError
+from rtagent.memory import describe_size
 from rtagent.scenario import Assembly, Scenario, assemble, load
 from rtagent.units import describe
 
@@ -46,6 +47,7 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"
+    yield from _explain_memory(assembly.memory)
     yield from _explain_schedule(assembly)
     yield from _warnings(scenario, assembly)
 
@@ -55,6 +57,12 @@ def device_notes(assembly: Assembly) -> Iterator[str]:
     for name, device in assembly.devices.items():
         if isinstance(device, Noting):
             yield from (f"device {name}: {note}" for note in device.notes)
+
+
+def _explain_memory(memory: Mapping[str, int]) -> Iterator[str]:
+    if memory:
+        parts = ", ".join(f"{describe_size(size)} for {what}" for what, size in memory.items())
+        yield f"memory of an agent: {describe_size(sum(memory.values()))}: {parts}"
 
 
 def _explain_schedule(assembly: Assembly) -> Iterator[str]:

@@ -31,6 +31,7 @@ def print_report(result: Result, out: TextIO) -> None:
         for line in histogram(result.reaction_times):
             console.print(line)
     _print_returns(console, result)
+    _print_predictions(console, result)
     _print_counters(console, result)
     shown = _shown(result.faults)
     for fault in shown:
@@ -89,6 +90,20 @@ def _print_returns(console: Console, result: Result) -> None:
             f"\nreturn: mean {np.mean(returns):.4g} over {len(returns)} episodes, "
             f"{np.mean(last):.4g} over the last {len(last)}"
         )
+
+
+def _print_predictions(console: Console, result: Result) -> None:
+    predictions = result.predictions(len(result.agents) - 1) if result.agents else {}
+    if not predictions:
+        return
+    table = Table("prediction", "mean error", "rms error", "RUPEE", "verified", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for name, errors in predictions.items():
+        rupee = "" if errors.rupee is None else f"{errors.rupee:.3g}"
+        table.add_row(escape(name), f"{errors.mae:.4g}", f"{errors.rmse:.4g}", rupee, f"{errors.verified:,}")
+    console.print()
+    console.print(table)
 
 
 def _print_counters(console: Console, result: Result) -> None:

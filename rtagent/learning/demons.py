@@ -82,7 +82,7 @@ class Demons:
     """Many demons: for each signal that fits a pattern of `signals`, and each of `gammas`, one for its value.
 
     With `bins` also one for each of so many equal parts of its range: how much of the time it will be there.
-    `name` is the set's, for others to build `on` it.
+    `name` is the set's, for others to build `on` it. What is None is the Horde's.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
@@ -91,21 +91,29 @@ class Demons:
     gammas: tuple[float, ...] = (0.9,)
     gamma_per: GammaPer = "step"
     bins: int = 0
-    alpha: float = 0.1
-    divide_alpha: bool = True
-    lambda_: float = 0.9
     learner: Algorithm = "true_online_td"
+    alpha: float | None = None
+    divide_alpha: bool | None = None
+    lambda_: float | None = None
     policy: tuple[float, ...] | None = None
     normalised: bool = True
     name: str = ""
     on: tuple[str, ...] = ()
 
-    def expand(self, state: Mapping[str, Spec]) -> Iterator[Demon]:
-        """Yield the demons over the signals of `state`; raise `SpecError` where there are none, or no range."""
+    def expand(self, state: Mapping[str, Spec], usual: Method) -> Iterator[Demon]:
+        """Yield the demons over the signals of `state`; raise `SpecError` where there are none, or no range.
+
+        They learn by the `usual` method, but for what they say themselves.
+        """
         chosen = _chosen(self.signals, state)
         if not self.gammas:
             raise SpecError("gammas is empty: give at least one, such as 0.9.")
-        method = Method(self.learner, self.alpha, self.divide_alpha, self.lambda_)
+        method = Method(
+            self.learner,
+            usual.alpha if self.alpha is None else self.alpha,
+            usual.divide_alpha if self.divide_alpha is None else self.divide_alpha,
+            usual.lambda_ if self.lambda_ is None else self.lambda_,
+        )
         for gamma, signal in product(self.gammas, chosen):
             spec, continuation = state[signal], Continuation(gamma, self.gamma_per)
             place = list(state).index(signal)

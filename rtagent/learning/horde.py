@@ -11,7 +11,7 @@ import numpy as np
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, State, Transition
 from rtagent.learning.cumulants import Cumulants, Signal, Within
-from rtagent.learning.demons import Demon, Demons
+from rtagent.learning.demons import Demon, Demons, Method
 from rtagent.learning.groups import DemonGroup
 from rtagent.learning.returns import PredictionErrors
 from rtagent.learning.shared_trace import Precision
@@ -28,9 +28,10 @@ else:
 class Horde:
     """Many predictions about the signals of the state (thesis, section 2.3.2), learned in slices.
 
-    `size` and `active` are those of the features, `state` the signals; `demons` declares what is predicted. The
-    returns of `measured` demons, evenly spread, are waited for and compared with what was predicted; with `rupee`
-    their projected errors are estimated too. Weights are `float32` or `float64`.
+    `size` and `active` are those of the features, `state` the signals; `demons` declares what is predicted.
+    `alpha` (of all active features together, unless `divide_alpha` is false) and `lambda_` are those of every set
+    that does not say otherwise. The returns of `measured` demons, evenly spread, are waited for and compared with
+    what was predicted; with `rupee` their projected errors are estimated too. Weights are float32 or float64.
     A signal outside its declared range is learned from as the end of the range, and counted in `clipped`; raises
     `SpecError` for one that is not a number, before anything is learned.
     """
@@ -44,12 +45,16 @@ class Horde:
         state: Mapping[str, Spec],
         active: int = 0,
         demons: tuple[Declared, ...] = (Demons(),),
+        alpha: float = 0.1,
+        divide_alpha: bool = True,
+        lambda_: float = 0.9,
         precision: Precision = "float32",
         measured: int = 20,
         rupee: bool = False,
     ) -> None:
         self._signals = _Signals(state)
-        self.demons = _expanded(demons, state)
+        usual = Method(alpha=alpha, divide_alpha=divide_alpha, lambda_=lambda_)
+        self.demons = _expanded(demons, state, usual)
         cumulants = [self._signals.place(demon) for demon in self.demons]
         self._places = _grouped(self.demons)
         self.groups: list[DemonGroup] = []
@@ -167,10 +172,10 @@ class _Signals:
         return clipped
 
 
-def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec]) -> list[Demon]:
+def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec], usual: Method) -> list[Demon]:
     demons: list[Demon] = []
     for each in declared:
-        demons += [each] if isinstance(each, Demon) else each.expand(state)
+        demons += [each] if isinstance(each, Demon) else each.expand(state, usual)
     if not demons:
         raise SpecError("demons is empty: declare at least one set of them.")
     claim(1000 * len(demons), "the descriptions of the demons")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
-from typing import Any, Protocol
+from collections.abc import Generator, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
+from rtagent.learning.returns import PredictionErrors
 from rtagent.saving import Saved
 
 
@@ -47,6 +48,14 @@ class PredictionLearner(Learner, Protocol):
 
     def predict(self, features: FeatureVector) -> float | FloatArray:
         """Return the estimated return; a Horde those of its demons, shape (demons,)."""
+
+
+@runtime_checkable
+class Verified(Protocol):
+    """A learner that compares its predictions with the returns that followed."""
+
+    def errors(self) -> Mapping[str, PredictionErrors]:
+        """Return the errors of those predictions that are compared, by their names."""
 
 
 def checked(delta: float, transition: Transition) -> float:

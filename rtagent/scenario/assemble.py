@@ -17,6 +17,7 @@ from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs
 from rtagent.features.inputs import matching
 from rtagent.lifecycle import Plan, refuse_stuck, run
+from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
 from rtagent.result import Result
 from rtagent.runtime import Limits, agent_prologue
@@ -42,6 +43,8 @@ class Assembly:
     plan: Plan
     costs: Costs
     supervision: dict[str, Supervision]
+    memory: dict[str, int]
+    """Bytes that an agent takes, by what they are for."""
 
     async def run(self, instruments: Iterable[object] = ()) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
@@ -90,11 +93,13 @@ def assemble(scenario: Scenario) -> Assembly:
     costs = problems.attempt(("costs",), lambda: _costs(scenario)) or {}
     make_agent = _AgentBuilder(scenario, task) if task is not None else None
     rng = stream(scenario.model.run.seed, "check")
-    agent = make_agent.attempt(problems, rng) if make_agent is not None else None
+    with ledger() as memory:
+        agent = make_agent.attempt(problems, rng) if make_agent is not None else None
     before: Order = ()
     if schedule is not None and agent is not None:
         before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
+    problems.attempt(("run", "trials"), lambda: _refuse_trials(plan.trials, sum(memory.values())))
     if schedule is not None and scenario.model.run.clock == "virtual" and complete:
         problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
@@ -103,7 +108,17 @@ def assemble(scenario: Scenario) -> Assembly:
         name: Supervision(table.supervision.timeout, table.supervision.stale_after)
         for name, table in scenario.model.devices.items()
     }
-    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision)
+    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision, memory)
+
+
+def _refuse_trials(trials: int, size: int) -> None:
+    """Refuse more agents than fit into memory: the results keep the agent of each trial."""
+    available = available_memory()
+    if available is not None and trials * size > available:
+        raise SpecError(
+            f"the agents of {trials} trials take {describe_size(trials * size)}, "
+            f"and this machine has {describe_size(available)} free: run fewer."
+        )
 
 
 def _build(part: Part, **context: Any) -> Any:

@@ -47,8 +47,8 @@ def _key_types(kind: Any) -> dict[str, Any]:
 
 
 def _item_type(kind: Any) -> Any:
-    """Return the type of the values of a dict type, also of one that may be left out."""
-    arguments = get_args(kind)
-    if NoneType in arguments:
-        return _item_type(next(each for each in arguments if each is not NoneType))
+    """Return the type of the values of a dict or the items of a tuple, also where it may be left out."""
+    arguments = [argument for argument in get_args(kind) if argument not in (Ellipsis, NoneType)]
+    if NoneType in get_args(kind):
+        return _item_type(arguments[0])
     return arguments[-1] if arguments else Any

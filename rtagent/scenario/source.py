@@ -62,13 +62,15 @@ class Source:
         names = tuple(name.strip() for name in key.split("."))
         if not equals or not all(names):
             return f"--set {override}: write it as key=value, such as --set run.seed=2."
-        table = self.values
+        table: Any = self.values
         for name in names[:-1]:
-            table = table.setdefault(name, {})
-            if not isinstance(table, dict):
-                return f"--set {override}: {name!r} is a value, not a table."
+            table = _inner(table, name)
+            if table is None:
+                return f"--set {override}: {name!r} is no table, nor a place in a list."
+        if isinstance(table, list):
+            return f"--set {override}: {names[-1]!r} is a place in a list: name a key of the table there."
         table[names[-1]] = _value(text)
-        self._overridden[names] = override
+        self._overridden[tuple(int(name) if name.isdigit() else name for name in names)] = override
         return None
 
     def _key_lines(self) -> dict[KeyPath, int]:
@@ -91,6 +93,15 @@ def _read(path: Path) -> str:
         raise ScenarioError([f"{path}: there is no such file; scenarios/ holds examples."]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError([f"{path}: the file cannot be read: {error}."]) from None
+
+
+def _inner(table: Any, name: str) -> Any:
+    """Return the table or list called `name` within another, or None where it is neither."""
+    if isinstance(table, list):
+        found = table[int(name)] if name.isdigit() and int(name) < len(table) else None
+    else:
+        found = table.setdefault(name, {})
+    return found if isinstance(found, dict | list) else None
 
 
 def _value(text: str) -> Any:
