@@ -170,11 +170,15 @@ def test_a_file_plays_as_what_was_written(tmp_path: Path, name: str) -> None:
 
 def test_in_real_time_rows_come_at_their_own_times() -> None:
     result, transitions, looker = watch(played(counting(40, 0.005)), clock_name="real")
-    assert [each.next_state[0] for each in transitions] == list(range(1, 40))
+    rows = [sample.sequence for sample in looker.samples]
+    assert rows == sorted(set(rows))
+    assert (rows[0], rows[-1]) == (0, 39)
+    # a busy machine may make the loop late, but not the recording
+    assert len(rows) + result.device_counters["arm"].get("rows_skipped", 0) == 40
+    assert [each.next_state[0] for each in transitions] == rows[1:]
     assert all(sample.world_time <= time for sample, time in zip(looker.samples, looker.times, strict=True))
     stamps = np.array([sample.world_time for sample in looker.samples])
-    assert (stamps - stamps[0]).tolist() == [round(row * 5e6) for row in range(40)]
-    assert looker.times[-1] - looker.times[0] >= 39 * 5 * ms
+    assert (stamps - stamps[0]).tolist() == [row * 5 * ms for row in rows]
     assert result.episodes[0].truncated
 
 

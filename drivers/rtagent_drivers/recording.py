@@ -74,10 +74,10 @@ class RecordingDevice:
         self._check_open()
         if newer_than >= self._session.last:
             await asyncio.get_running_loop().create_future()
-        if self._newest() <= newer_than:
+        while (row := self._newest()) <= newer_than:
             await self._clock.sleep_until(self._due(newer_than + 1))
             self._check_open()
-        return self._sample(self._newest())
+        return self._sample(row)
 
     async def act(self, command: Command) -> Command:
         """Refuse: nothing can be done about the past."""

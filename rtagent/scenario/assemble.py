@@ -85,8 +85,9 @@ def assemble(scenario: Scenario) -> Assembly:
         for name, part in scenario.devices.items()
         if (device := problems.attempt(part.path, partial(_build, part))) is not None
     }
+    complete = len(devices) == len(scenario.devices)
     task = problems.attempt(("task",), lambda: _build(scenario.parts["task"]))
-    if task is not None and len(devices) == len(scenario.devices):
+    if task is not None and complete:
         problems.attempt(("task",), lambda: task.bind({name: device.spec for name, device in devices.items()}))
     schedule = problems.attempt(("schedule",), lambda: _schedule(scenario))
     costs = problems.attempt(("costs",), lambda: _costs(scenario)) or {}
@@ -99,7 +100,7 @@ def assemble(scenario: Scenario) -> Assembly:
         before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
     problems.attempt(("run", "trials"), lambda: _refuse_trials(plan.trials, sum(memory.values())))
-    if schedule is not None and scenario.model.run.clock == "virtual":
+    if schedule is not None and scenario.model.run.clock == "virtual" and complete:
         problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
         raise ScenarioError(problems.sentences)

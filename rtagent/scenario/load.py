@@ -36,6 +36,11 @@ class Part:
         """Return the settings as the plug-in takes them."""
         return {name: getattr(self.settings, name) for name in type(self.settings).model_fields}
 
+    def resolved(self, table: dict[str, Any]) -> dict[str, Any]:
+        """Return its table with every setting, in the plug-in's own order, however they were given."""
+        settings = self.settings.model_dump(mode="json", exclude_none=True)
+        return {name: value for name, value in table.items() if name not in settings} | settings
+
 
 @dataclass
 class Scenario:
@@ -56,9 +61,9 @@ class Scenario:
         data = self.model.model_dump(mode="json", exclude_none=True)
         data["name"] = self.name
         for name, part in self.devices.items():
-            data["devices"][name] |= part.settings.model_dump(mode="json", exclude_none=True)
+            data["devices"][name] = part.resolved(data["devices"][name])
         for table, part in self.parts.items():
-            data[table] |= part.settings.model_dump(mode="json", exclude_none=True)
+            data[table] = part.resolved(data[table])
         return data
 
 

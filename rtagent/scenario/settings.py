@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from types import NoneType
 from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, create_model
@@ -46,6 +47,8 @@ def _key_types(kind: Any) -> dict[str, Any]:
 
 
 def _item_type(kind: Any) -> Any:
-    """Return the type of the values of a dict type, or of the items of a tuple type."""
-    arguments = [argument for argument in get_args(kind) if argument is not Ellipsis]
+    """Return the type of the values of a dict or the items of a tuple, also where it may be left out."""
+    arguments = [argument for argument in get_args(kind) if argument not in (Ellipsis, NoneType)]
+    if NoneType in get_args(kind):
+        return _item_type(arguments[0])
     return arguments[-1] if arguments else Any
