@@ -4,7 +4,8 @@ from rtagent.features.coder import FeatureCoder
 from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
 from rtagent.features.sparse import SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
-from rtagent.features.tiles import TileCoding, Tilings
+from rtagent.features.tiles import TileCoding
+from rtagent.features.tilings import Tilings
 
 __all__ = [
     "Binned",
