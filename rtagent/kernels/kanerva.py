@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtagent.kernels.compiling import kernel
+from rtagent.kernels.masks import WIDTH, lowest_bit, within_limit
 from rtagent.kernels.normalise import READ_ONLY, to_unit_cube
 from rtagent.kernels.prototypes import Doubles, Singles, distance, length, measure, slack
 
@@ -80,13 +81,18 @@ def _limit(
 
 @kernel()
 def _keep(distances: Singles, places: Places, limit: float, offset: int, kept: Places) -> int:
-    """Write the places of what is within the limit, in their order, with no branch to mispredict."""
-    single, last, count = np.float32(limit), len(distances), np.uint64(0)
-    while last > 0 and distances[last - 1] > single:
-        last -= 1
-    for k in range(last):
-        kept[count] = places[k] + offset
-        count += np.uint64(distances[k] <= single)
+    """Write the places of what is within the limit, in their order; return how many."""
+    single, count, whole = np.float32(limit), np.uint64(0), len(distances) - len(distances) % WIDTH
+    for start in range(0, whole, WIDTH):
+        near = within_limit(distances, start, single)
+        while near:
+            kept[count] = places[np.uint64(start + lowest_bit(near))] + offset
+            count += np.uint64(1)
+            near &= near - np.uint64(1)
+    for k in range(whole, len(distances)):
+        if distances[k] <= single:
+            kept[count] = places[k] + offset
+            count += np.uint64(1)
     return int(count)
 
 
