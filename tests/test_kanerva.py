@@ -148,7 +148,11 @@ def test_a_signal_is_measured_by_its_declared_range() -> None:
     [
         ({"eta": 0.0001}, "makes 0 of them active"),
         ({"eta": 1.0}, "makes 1000 of them active"),
+        ({"eta": np.nan}, "makes 0 of them active"),
+        ({"eta": (0.1, 0.0)}, "makes 0 of them active"),
         ({"eta": ()}, "eta is empty"),
+        ({"distance": "cosine"}, "distance is 'cosine'"),
+        ({"prototypes": np.full((5, 2), np.nan)}, "outside the unit cube"),
         ({"prototypes": 1}, "prototypes is 1"),
         ({"sets": 0}, "sets is 0"),
         ({"sets": 500, "eta": 0.1}, "makes 0 of them active"),

@@ -5,7 +5,8 @@ from rtagent.features.inputs import Composed, DataTrace, Inputs, Traced
 from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
 from rtagent.features.sparse import SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
-from rtagent.features.tiles import TileCoding, Tilings
+from rtagent.features.tiles import TileCoding
+from rtagent.features.tilings import Tilings
 
 __all__ = [
     "Binned",

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Protocol, cast, runtime_checkable
 
 from rtagent.errors import SpecError
-from rtagent.experience import FeatureVector, State
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
+
+vector = cast(
+    "Callable[[tuple[IndexArray, FloatArray | None]], FeatureVector]", partial(tuple.__new__, FeatureVector)
+)
+"""Makes a feature vector of both its fields, in a third of the time that calling the class takes."""
 
 
 class FeatureCoder(Protocol):

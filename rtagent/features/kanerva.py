@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import pairwise
 from types import ModuleType
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from rtagent import kernels
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, State
+from rtagent.features.coder import vector
 from rtagent.features.normalise import UnitCube
 from rtagent.features.prototypes import Distance, distances, limit, metric, placed
 from rtagent.features.selection import Selection, selector, with_room
@@ -47,7 +49,7 @@ class SelectiveKanerva:
         bounds, etas = _bounds(len(self.prototypes), sets), _ratios(eta)
         counts = [[_count(end - start, each) for each in etas] for start, end in pairwise(bounds)]
         selection = Selection(self.prototypes, bounds, counts, distance, proximity)
-        self._select = selector(self._cube, selection)
+        self._encode = selector(self._cube, selection)
         self.size = len(self.prototypes) * len(etas)
         self.active = selection.active
 
@@ -56,7 +58,7 @@ class SelectiveKanerva:
 
         Raises `SpecError` for another shape, and, naming the signal, for a value that is not a number.
         """
-        return self._select(state)
+        return self._encode(state)
 
     @property
     def clipped(self) -> Mapping[str, int]:
@@ -117,7 +119,7 @@ class KanervaCoding:
         self._cube = UnitCube(state)
         metric(distance)
         self.prototypes = placed(prototypes, len(state), seed)
-        self._find = _finder(self._cube, self.prototypes, radius, distance)
+        self._encode = _finder(self._cube, self.prototypes, radius, distance)
         self.size = self.active = len(self.prototypes)
 
     def encode(self, state: State) -> FeatureVector:
@@ -125,7 +127,7 @@ class KanervaCoding:
 
         Raises `SpecError` for another shape, and, naming the signal, for a value that is not a number.
         """
-        return self._find(state)
+        return self._encode(state)
 
     @property
     def clipped(self) -> Mapping[str, int]:
@@ -146,8 +148,8 @@ def _finder(
 ) -> Callable[[State], FeatureVector]:
     module = kernels.load("kanerva")
     if module is None:
-        return _PlainFinder(cube, prototypes, radius, distance)
-    return _CompiledFinder(cube, prototypes, radius, distance, module)
+        return _PlainFinder(cube, prototypes, radius, distance).encode
+    return _CompiledFinder(cube, prototypes, radius, distance, module).encode
 
 
 class _PlainFinder:
@@ -157,7 +159,7 @@ class _PlainFinder:
         self._cube, self._prototypes, self._distance = cube, prototypes, distance
         self._limit = limit(radius, distance)
 
-    def __call__(self, state: State) -> FeatureVector:
+    def encode(self, state: State) -> FeatureVector:
         measured = distances(self._prototypes, self._cube(state), self._distance)
         return FeatureVector(np.flatnonzero(measured < self._limit))
 
@@ -168,13 +170,16 @@ class _CompiledFinder:
     def __init__(
         self, cube: UnitCube, prototypes: FloatArray, radius: float, distance: Distance, module: ModuleType
     ) -> None:
-        self._cube, self._within, self._chosen = cube, module.within, np.empty(len(prototypes), dtype=np.intp)
-        ranges = np.stack((cube.low, cube.high))
+        self._cube, self._chosen = cube, np.empty(len(prototypes), np.intp)
         columns, places = with_room(prototypes, 0)
-        self._store = ranges, cube.clips, prototypes, columns, places, metric(distance), limit(radius, distance)
+        asked = metric(distance), limit(radius, distance)
+        self._within = partial(module.within, cube.ranges(1), cube.clips, prototypes, columns, places, *asked)
 
-    def __call__(self, state: State) -> FeatureVector:
-        found = self._within(self._cube.values(state), self._chosen, *self._store)
+    def encode(self, state: State) -> FeatureVector:
+        try:
+            found = self._within(np.asarray(state, np.float64, "C"), self._chosen)
+        except (TypeError, ValueError):  # no numbers, not one row of them, or not aligned
+            found = self._within(self._cube.inside(state), self._chosen)
         if found < 0:
-            raise self._cube.refuse_nan(-1 - found)
-        return FeatureVector(self._chosen[:found].copy())
+            raise self._cube.refusal(state)
+        return vector((self._chosen[:found].copy(), None))

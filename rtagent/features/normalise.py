@@ -37,6 +37,7 @@ class UnitCube:
         self.clips = np.zeros(len(self.names), dtype=np.int64)
         self.masks = np.zeros(len(self.names), dtype=np.int64)
         self.last: FloatArray = self.low + self.span / 2
+        self._shape = self.low.shape
         self._settled = self._masked if outside == "mask" else self._clipped
 
     def __call__(self, state: State) -> FloatArray:
@@ -49,21 +50,23 @@ class UnitCube:
 
         Raises `SpecError` for another shape, and, naming the signal, for a NaN that is not to be masked.
         """
-        return self._settled(self.values(state))
+        return self._settled(self._values(state))
 
-    def values(self, state: State) -> FloatArray:
-        """Return the state as a new array; raise `SpecError` where it is not one number for each signal."""
+    def refusal(self, state: State) -> SpecError:
+        """Return what is said of a state that does not fit, or has a signal that is not a number."""
+        expected = f"give one value for each of {len(self.names)} signals ({', '.join(self.names)})"
         try:
-            values = np.array(state, dtype=np.float64)
+            values = np.asarray(state, np.float64)
         except (TypeError, ValueError):
-            raise SpecError(f"the state {state!r} is not a sequence of numbers: {self._expected}.") from None
-        if values.shape != self.low.shape:
-            raise SpecError(f"the state has shape {values.shape}: {self._expected}.")
-        return values
+            return SpecError(f"the state {state!r} is not a sequence of numbers: {expected}.")
+        if values.shape != self._shape:
+            return SpecError(f"the state has shape {values.shape}: {expected}.")
+        name = self.names[int(np.isnan(values).argmax())]
+        return SpecError(f"signal {name!r} is not a number (NaN): nothing is learned from it.")
 
-    def refuse_nan(self, signal: int) -> SpecError:
-        """Return what is said of a signal, by its place, that is not a number."""
-        return SpecError(f"signal {self.names[signal]!r} is not a number (NaN): nothing is learned from it.")
+    def ranges(self, spare: int) -> FloatArray:
+        """Return what kernels normalise with: the ends of the signals, and so many `spare` rows to write to."""
+        return np.vstack((self.low, self.high, np.full((spare, len(self.names)), np.inf)))
 
     @property
     def clipped(self) -> dict[str, int]:
@@ -83,15 +86,20 @@ class UnitCube:
         """Take what `save` returned; raise `SpecError` where it is of other signals."""
         restore_fields(self, ("clips", "masks", "last"), saved)
 
-    @property
-    def _expected(self) -> str:
-        return f"give one value for each of {len(self.names)} signals ({', '.join(self.names)})"
+    def _values(self, state: State) -> FloatArray:
+        try:
+            values = np.asarray(state, np.float64)
+        except (TypeError, ValueError):
+            raise self.refusal(state) from None
+        if values.shape != self._shape:
+            raise self.refusal(state)
+        return values
 
     def _clipped(self, values: FloatArray) -> FloatArray:
         clipped: FloatArray = np.minimum(np.maximum(values, self.low), self.high)
         if not np.array_equal(values, clipped):
             if math.isnan(clipped.sum()):
-                raise self.refuse_nan(int(np.isnan(clipped).argmax()))
+                raise self.refusal(values)
             self.clips += values != clipped
         return clipped
 

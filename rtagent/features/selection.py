@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from types import ModuleType
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from rtagent import kernels, memory
 from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
+from rtagent.features.coder import vector
 from rtagent.features.normalise import UnitCube
 from rtagent.features.prototypes import Distance, distances, lengths, metric, smallest
 
@@ -40,7 +42,8 @@ class Selection:
 def selector(cube: UnitCube, selection: Selection) -> Callable[[State], FeatureVector]:
     """Return what makes features of a state: compiled where there is a compiler."""
     module = kernels.load("kanerva")
-    return PlainSelector(cube, selection) if module is None else CompiledSelector(cube, selection, module)
+    made = PlainSelector(cube, selection) if module is None else CompiledSelector(cube, selection, module)
+    return made.encode
 
 
 class PlainSelector:
@@ -49,7 +52,7 @@ class PlainSelector:
     def __init__(self, cube: UnitCube, selection: Selection) -> None:
         self._cube, self._selection = cube, selection
 
-    def __call__(self, state: State) -> FeatureVector:
+    def encode(self, state: State) -> FeatureVector:
         """Return the features of `state`, set by set and, in each, layer by layer."""
         point, made = self._cube(state), self._selection
         chosen: list[IndexArray] = []
@@ -81,7 +84,7 @@ class CompiledSelector:
     """
 
     def __init__(self, cube: UnitCube, selection: Selection, module: ModuleType) -> None:
-        self._cube, self._nearest, self._active = cube, module.nearest, selection.active
+        self._cube, self._active = cube, selection.active
         self._values = np.empty(selection.active if selection.proximity else 0)
         self._proximity = selection.proximity
         signals = selection.prototypes.shape[1]
@@ -93,17 +96,20 @@ class CompiledSelector:
         )
         remembered = np.full((sets, module.ANCHOR + signals + layers), 0.1)
         remembered[:, module.LISTED], remembered[:, module.GAP] = 0.0, np.inf
-        ranges = np.stack((cube.low, cube.high, np.full(signals, np.inf)))
-        self._store = ranges, cube.clips, selection.prototypes, columns, places, plan, remembered
+        store = cube.ranges(2), cube.clips, selection.prototypes, columns, places, plan, remembered
+        self._nearest = partial(module.nearest, *store)
 
-    def __call__(self, state: State) -> FeatureVector:
+    def encode(self, state: State) -> FeatureVector:
         """Return the features of `state`, set by set and, in each, layer by layer."""
-        point, indices = self._cube.values(state), np.empty(self._active, dtype=np.intp)
+        indices = np.empty(self._active, np.intp)
         values = np.empty(self._active) if self._proximity else self._values
-        wrong = self._nearest(point, indices, values, *self._store)
+        try:
+            wrong = self._nearest(np.asarray(state, np.float64, "C"), indices, values)
+        except (TypeError, ValueError):  # no numbers, not one row of them, or not aligned
+            wrong = self._nearest(self._cube.inside(state), indices, values)
         if wrong >= 0:
-            raise self._cube.refuse_nan(wrong)
-        return FeatureVector(indices, values if self._proximity else None)
+            raise self._cube.refusal(state)
+        return vector((indices, values if self._proximity else None))
 
 
 def with_room(prototypes: FloatArray, room: int) -> tuple[np.ndarray, IndexArray]:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtagent.kernels.compiling import kernel
-from rtagent.kernels.normalise import to_unit_cube
+from rtagent.kernels.masks import WIDTH, lowest_bit, within_limit
+from rtagent.kernels.normalise import READ_ONLY, to_unit_cube
 from rtagent.kernels.prototypes import Doubles, Singles, distance, length, measure, slack
 
 Places = NDArray[np.int64]
@@ -80,13 +81,18 @@ def _limit(
 
 @kernel()
 def _keep(distances: Singles, places: Places, limit: float, offset: int, kept: Places) -> int:
-    """Write the places of what is within the limit, in their order, with no branch to mispredict."""
-    single, last, count = np.float32(limit), len(distances), np.uint64(0)
-    while last > 0 and distances[last - 1] > single:
-        last -= 1
-    for k in range(last):
-        kept[count] = places[k] + offset
-        count += np.uint64(distances[k] <= single)
+    """Write the places of what is within the limit, in their order; return how many."""
+    single, count, whole = np.float32(limit), np.uint64(0), len(distances) - len(distances) % WIDTH
+    for start in range(0, whole, WIDTH):
+        near = within_limit(distances, start, single)
+        while near:
+            kept[count] = places[np.uint64(start + lowest_bit(near))] + offset
+            count += np.uint64(1)
+            near &= near - np.uint64(1)
+    for k in range(whole, len(distances)):
+        if distances[k] <= single:
+            kept[count] = places[k] + offset
+            count += np.uint64(1)
     return int(count)
 
 
@@ -252,40 +258,42 @@ def _ask_all(group: int, point: Doubles, before: Doubles, chosen: Places, values
     _select(start, end, np.inf, group, point, chosen, values, store)
 
 
-@kernel("i8(f8[::1], i8[::1], f8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8[::1], f8[:, ::1])")
+@kernel(
+    f"i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8[::1], f8[:, ::1], {READ_ONLY}, i8[::1], f8[::1])"
+)
 def nearest(
-    point: Doubles, chosen: Places, values: Doubles, ranges: Doubles, clips: Places,
-    rows: Doubles, columns: Singles, places: Places, plan: Places, memory: Doubles,
+    ranges: Doubles, clips: Places, rows: Doubles, columns: Singles, places: Places, plan: Places, memory: Doubles,
+    state: Doubles, chosen: Places, values: Doubles,
 ) -> int:  # fmt: skip
-    """Write the nearest prototypes of a state (overwritten), for each set and layer; return -1, or who is NaN.
+    """Write the nearest prototypes of a state, for each set and layer; return -1, or which signal is wrong.
 
-    `ranges` has the lower and upper ends of the signals, and the state before, in the unit cube.
+    The last row of `ranges` is the state before, in the unit cube.
     """
-    wrong = to_unit_cube(point, ranges[0], ranges[1], clips)
+    wrong = to_unit_cube(state, ranges, clips)
     if wrong >= 0:
         return wrong
-    store, start, layers = Store(rows, columns, places, plan, memory), 0, plan[LAYERS]
+    store, start, layers, point = Store(rows, columns, places, plan, memory), 0, plan[LAYERS], ranges[2]
     for group in range(plan[SETS]):
         first = BOUNDS + plan[SETS] + 1 + group * layers
         end = start + int(np.sum(plan[first : first + layers]))
         features, weights = chosen[start:end], values[start:end]
         if not _ask_list(group, point, features, weights, store):
-            _ask_all(group, point, ranges[2], features, weights, store)
+            _ask_all(group, point, ranges[3], features, weights, store)
         start = end
-    ranges[2] = point
+    ranges[3] = point
     return -1
 
 
-@kernel("i8(f8[::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8, f8)")
+@kernel(f"i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8, f8, {READ_ONLY}, i8[::1])")
 def within(
-    point: Doubles, chosen: Places, ranges: Doubles, clips: Places,
-    rows: Doubles, columns: Singles, places: Places, metric: int, radius: float,
+    ranges: Doubles, clips: Places, rows: Doubles, columns: Singles, places: Places, metric: int, radius: float,
+    state: Doubles, chosen: Places,
 ) -> int:  # fmt: skip
-    """Write the prototypes nearer to a state (overwritten) than the radius; return how many, or -1 - who is NaN."""
-    wrong = to_unit_cube(point, ranges[0], ranges[1], clips)
+    """Write the prototypes nearer to a state than the radius; return how many, or -1 - which signal is wrong."""
+    wrong = to_unit_cube(state, ranges, clips)
     if wrong >= 0:
         return -1 - wrong
-    unsure, count = slack(radius, len(point), metric), 0
+    point, unsure, count = ranges[2], slack(radius, len(state), metric), 0
     measure(columns, 0, len(rows), point, metric)
     distances = columns[len(point)]
     for place in range(_keep(distances[: len(rows)], places, radius + unsure, 0, chosen)):

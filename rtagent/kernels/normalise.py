@@ -10,20 +10,25 @@ from numpy.typing import NDArray
 
 from rtagent.kernels.compiling import kernel
 
+READ_ONLY = "Array(float64, 1, 'C', True)"
+"""The type of a state: an array that may, or may not, be written to."""
+
 
 @kernel()
-def to_unit_cube(
-    point: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], clips: NDArray[np.int64]
-) -> int:
-    """Clip a state to its ranges, counting, and normalise it, in place.
+def to_unit_cube(state: NDArray[np.float64], ranges: NDArray[np.float64], clips: NDArray[np.int64]) -> int:
+    """Clip a state to its ranges, the first rows of `ranges`, counting; put it in the unit cube, the third row.
 
-    Return -1, or the place of the first signal that is not a number, and then nothing is changed.
+    Return -1, or the place of the first signal that is not a number, or that is one too many or the first that
+    is missing; then nothing is changed.
     """
-    for signal in range(len(point)):
-        if np.isnan(point[signal]):
+    if len(state) != ranges.shape[1]:
+        return min(len(state), int(ranges.shape[1]))
+    for signal in range(len(state)):
+        if np.isnan(state[signal]):
             return signal
-    for signal in range(len(point)):
-        inside = min(max(point[signal], low[signal]), high[signal])
-        clips[signal] += inside != point[signal]
-        point[signal] = (inside - low[signal]) / (high[signal] - low[signal])
+    for signal in range(len(state)):
+        low, high = ranges[0, signal], ranges[1, signal]
+        inside = min(max(state[signal], low), high)
+        clips[signal] += inside != state[signal]
+        ranges[2, signal] = (inside - low) / (high - low)
     return -1
