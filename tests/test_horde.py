@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -264,6 +266,19 @@ def test_what_is_not_a_number_reaches_no_weight(compiled: bool) -> None:
     with pytest.raises(SpecError, match="'shoulder_load' is not a number"):
         made.update(t)
     assert not made.newest.any()
+    assert not any(group.learned.weights.any() for group in made.groups)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("index", [-1, 60, 10**9])
+def test_a_feature_that_there_is_no_weight_for_is_told(compiled: bool, index: int) -> None:
+    (good,) = transitions(1)
+    wrong = FeatureVector(np.array([index]))
+    with contextlib.nullcontext() if compiled else kernels.plain():
+        made = horde(Demons())
+    for bad in (replace(good, features=wrong), replace(good, next_features=wrong)):
+        with pytest.raises(SpecError, match=f"there is no feature {index}"):
+            made.update(bad)
     assert not any(group.learned.weights.any() for group in made.groups)
 
 

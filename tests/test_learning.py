@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from numpy.random import Generator
 
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning import TD, ExpectedSarsa, QLearning, Sarsa
+from rtagent.learning import TD, ExpectedSarsa, QLearning, Sarsa, SwiftTD, TrueOnlineTD
 from rtagent.learning.learner import Learner
 from rtagent.policy import EpsilonGreedy
 
@@ -91,6 +92,30 @@ def test_expected_sarsa_is_as_computed_by_hand() -> None:
     assert learner.update(step(0, 1, 1.0, 1, truncated=True)) == pytest.approx(1.14)
     # truncated: delta 1 + 0.28 - 0.14 = 1.14; Q(0, 1) = 0.14 + 0.57 = 0.71
     assert learner.weights == pytest.approx(np.array([[0.0, 0.5], [0.71, -1.0]]))
+
+
+def test_q_lambda_is_as_computed_by_hand_and_cuts_its_trace_before_an_exploratory_action() -> None:
+    learner = QLearning(size=3, actions=2, alpha=0.5, gamma=0.8, lambda_=0.5)
+    assert learner.update(step(0, 0, 1.0, 1)) == pytest.approx(1.0)
+    # Q(0, 0) = 0.5; its trace decays to 0.4
+    assert learner.update(step(1, 0, 1.0, 2)) == pytest.approx(1.0)
+    # both actions of 1 are worth 0: greedy; Q(1, 0) = 0.5, Q(0, 0) = 0.5 + 0.5 * 0.4 = 0.7; traces 0.4, 0.16
+    assert learner.update(step(1, 1, 2.0, 0)) == pytest.approx(2.56)
+    # action 1 of 1 is worth 0, and action 0 is worth 0.5: cut; delta 2 + 0.8 * 0.7; Q(1, 1) = 1.28; trace 0.4
+    assert learner.weights == pytest.approx(np.array([[0.7, 0.5, 0.0], [0.0, 1.28, 0.0]]))
+    assert learner.update(step(0, 0, 0.3, 1, terminated=True)) == pytest.approx(-0.4)
+    # greedy; Q(0, 0) = 0.7 - 0.2 = 0.5; Q(1, 1) = 1.28 - 0.5 * 0.4 * 0.4 = 1.2
+    assert learner.weights == pytest.approx(np.array([[0.5, 0.5, 0.0], [0.0, 1.2, 0.0]]))
+
+
+def test_expected_sarsa_lambda_is_as_computed_by_hand() -> None:
+    policy = EpsilonGreedy(epsilon=0.2)
+    learner = ExpectedSarsa(size=2, actions=2, policy=policy, alpha=0.5, gamma=0.8, lambda_=0.5)
+    learner.update(step(1, 0, 1.0, 0))
+    # Q(1, 0) = 0.5, its trace decays to 0.4
+    assert learner.update(step(0, 1, 1.0, 1)) == pytest.approx(1.36)
+    # the expectation in 1 is 0.9 * 0.5 = 0.45: delta 1 + 0.8 * 0.45; Q(0, 1) = 0.68; Q(1, 0) = 0.5 + 0.272
+    assert learner.weights == pytest.approx(np.array([[0.0, 0.772], [0.68, 0.0]]))
 
 
 def test_features_with_values_are_weighted_by_them() -> None:
@@ -181,7 +206,68 @@ def test_a_decay_out_of_range_is_refused(lambda_: float) -> None:
         TD(size=2, lambda_=lambda_)
 
 
+@pytest.mark.parametrize("make", [TD, TrueOnlineTD, SwiftTD])
+def test_alpha_is_divided_by_the_number_of_active_features_only_where_it_is_said(make: Callable[..., Any]) -> None:
+    active = Transition(one_hot(0, 1, 2, 3), 0, 1.0, 1.0, one_hot(0), 0, 0, True, False)
+    learners = [
+        make(size=4, active=4, alpha=0.08),
+        make(size=4, active=4, alpha=0.08, divide_alpha=True),
+        make(size=4, alpha=0.08),
+    ]
+    for learner in learners:
+        learner.update(active)
+    moved = [learner.weights[0] for learner in learners]
+    assert moved[1] == pytest.approx(0.02)
+    whole = 0.1 / 4 if make is SwiftTD else 0.08  # SwiftTD bounds the sum of all four
+    assert moved[0] == moved[2] == pytest.approx(whole)
+    with pytest.raises(SpecError, match="give active"):
+        make(size=4, divide_alpha=True)
+
+
+def test_gamma_may_be_said_for_each_second() -> None:
+    by_step, by_second = TD(size=2, gamma=0.81, initial=1.0), TD(size=2, gamma=0.9, gamma_per="second", initial=1.0)
+    transition = step(0, None, 0.0, 1)
+    transition.elapsed = 2_000_000_000
+    for _ in range(3):
+        assert by_second.update(transition) == pytest.approx(by_step.update(transition))
+    transition.elapsed = 0
+    assert TD(size=2, gamma=0.9, gamma_per="second", initial=1.0).update(transition) == 0.0
+    transition.terminated = True
+    assert TD(size=2, gamma=0.9, gamma_per="second", initial=1.0).update(transition) == -1.0
+
+
+@pytest.mark.parametrize("name", ["gamma", "lambda_"])
+@pytest.mark.parametrize("make", [TD, TrueOnlineTD, SwiftTD])
+def test_what_functions_of_the_state_give_is_checked(make: Callable[..., Any], name: str) -> None:
+    learner = make(size=2, **{name: lambda t: 1.5})
+    with pytest.raises(SpecError, match=f"{name} is 1.5"):
+        learner.update(step(0, None, 1.0, 1))
+    assert not learner.weights.any()
+
+
 # Against independent references
+
+
+@given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0]), st.floats(0, 1), st.floats(-2, 2)), max_size=12))
+@settings(max_examples=50, deadline=None)
+def test_td_credits_every_earlier_state_by_the_rates_of_the_states_between(
+    steps: list[tuple[float, float, float]],
+) -> None:
+    """Each state is credited with every later delta, times γλ of each state that lies between."""
+    rates = [(gamma, lambda_) for gamma, lambda_, _ in steps]
+    learner = TD(
+        size=5, alpha=0.1, gamma=lambda t: rates[t.elapsed][0], lambda_=lambda t: rates[t.elapsed][1], initial=0.5
+    )
+    weights = np.full(5, 0.5)
+    for now, (gamma, _, reward) in enumerate(steps):
+        transition = step(now % 5, None, reward, (now + 1) % 5)
+        transition.elapsed = now
+        delta = reward + gamma * weights[(now + 1) % 5] - weights[now % 5]
+        assert learner.update(transition) == pytest.approx(delta, abs=1e-12)
+        for earlier in range(now + 1):
+            between = [gamma * lambda_ for gamma, lambda_ in rates[earlier:now]]
+            weights[earlier % 5] += 0.1 * delta * np.prod(between)
+    np.testing.assert_allclose(learner.weights, weights, rtol=1e-9, atol=1e-12)
 
 
 def sarsa_by_sums(

@@ -73,6 +73,59 @@ def test_true_online_td_is_the_online_lambda_return(
         np.testing.assert_allclose(learner.weights, expected[t + 1], rtol=1e-9, atol=1e-9)
 
 
+def general_online_lambda_return(
+    xs: np.ndarray, rewards: np.ndarray, alpha: float, gammas: np.ndarray, lambdas: np.ndarray
+) -> list[np.ndarray]:
+    """Return the weights after each step, γ and λ being those of the state in which each step ends.
+
+    The return of each step is the reward, and γ of the next state times a mixture of its value and its return
+    (Sutton and Barto, equation 12.18), as far as the horizon; the online algorithm then as above.
+    """
+    known = [np.zeros(xs.shape[1])]
+    for h in range(1, len(rewards) + 1):
+        weights = np.zeros(xs.shape[1])
+        for k in range(h):
+            target = float(known[h - 1] @ xs[h])
+            for t in reversed(range(k, h)):
+                bootstrap = float(known[t] @ xs[t + 1]) if t + 1 < h else target
+                target = rewards[t] + gammas[t] * ((1 - lambdas[t]) * bootstrap + lambdas[t] * target)
+            weights = weights + alpha * (target - weights @ xs[k]) * xs[k]
+        known.append(weights)
+    return known
+
+
+fractions = st.sampled_from([0.0, 0.3, 0.9, 1.0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.tuples(fractions, fractions), min_size=1, max_size=9),
+    st.floats(0.01, 0.5),
+    st.booleans(),
+)
+def test_true_online_td_is_the_online_lambda_return_where_gamma_and_lambda_depend_on_the_state(
+    seed: int, rates: list[tuple[float, float]], alpha: float, compiled: bool
+) -> None:
+    gammas, lambdas = np.array(rates).T
+    rng, length = np.random.default_rng(seed), len(rates)
+    xs = rng.random((length + 1, SIZE)) * (rng.random((length + 1, SIZE)) < 0.7)
+    rewards = rng.normal(size=length)
+    expected = general_online_lambda_return(xs, rewards, alpha, gammas, lambdas)
+    learner = TrueOnlineTD(
+        size=1000 if compiled else SIZE,
+        active=SIZE,
+        alpha=alpha,
+        gamma=lambda t: gammas[t.elapsed],
+        lambda_=lambda t: lambdas[t.elapsed],
+    )
+    for t in range(length):
+        transition = step(xs[t], rewards[t], xs[t + 1])
+        transition.elapsed = t
+        learner.update(transition)
+        np.testing.assert_allclose(learner.weights[:SIZE], expected[t + 1], rtol=1e-9, atol=1e-9)
+
+
 def test_two_steps_by_hand() -> None:
     """Two binary features that overlap; alpha 0.5, gamma 0.5, lambda 1, all in fractions of two."""
     learner = TrueOnlineTD(size=2, alpha=0.5, gamma=0.5, lambda_=1.0)

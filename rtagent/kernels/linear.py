@@ -33,7 +33,7 @@ _FEATURES = "float64[:,::1], int64, int64, int64[::1], float64[::1]"
 def products(cells: Any, row: int, size: int, indices: Any, values: Any) -> tuple[float, float]:
     """Return u·φ and ê·φ of one row; `values` is empty where all are 1."""
     first = row * size
-    if first < 0 or first + size >= cells.shape[0]:
+    if first < 0 or first + size >= cells.shape[0] or not (values.size == 0 or values.size == indices.size):
         return math.nan, math.nan
     u = trace = 0.0
     for k in range(indices.size):

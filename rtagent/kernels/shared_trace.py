@@ -16,7 +16,7 @@ from rtagent.kernels.compiling import kernel
 Array = Any
 """Arrays of compiled code: numba has no types."""
 
-BLOCK = 512
+BLOCK = 4096
 """So many demons at a time stay in the nearest cache."""
 
 LEFT, ENTERED, OVERLAP, SQUARES, TRACE_HERE, TRACE_THERE = range(6)
@@ -26,20 +26,31 @@ GAMMA, ALPHA, KAPPA, SCALE, SQUARE, COMMON, HERE, THERE, FRESH, DIRECT = range(1
 """The parameters of a step, in an array of the dtype of the weights: as in `rtagent.learning.lazy_trace`."""
 
 
+@kernel("boolean(int64[::1], int64)", "boolean(Array(int64, 1, 'C', readonly=True), int64)")
+def known(features: Array, size: int) -> bool:
+    """Say whether all features are among `size`."""
+    unknown = 0
+    for feature in features:
+        unknown += feature < 0 or feature >= size
+    return unknown == 0
+
+
 @kernel(
-    "void(int64[::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1], float64[::1],"
+    "boolean(int64[::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1], float64[::1],"
     " int64[::1], int64[::1], float64[::1])"
 )
 def compare(
     here: Array, x: Array, there: Array, y: Array, trace: Array, marks: Array, others: Array,
     left: Array, entered: Array, found: Array,
-) -> None:  # fmt: skip
+) -> bool:  # fmt: skip
     """Compare two feature vectors, `here` with values `x` and `there` with values `y`.
 
     `found` becomes: how many features left and entered (listed in `left` and `entered`), the inner product of
     both vectors, that of `here` with itself, and those of either with `trace`. `marks` and `others`, shape (size,),
-    are all 0 before and after.
+    are all 0 before and after. Returns False, having done nothing, where a feature is not among them.
     """
+    if not (known(here, trace.size) and known(there, trace.size)):
+        return False
     overlap, squares, trace_here, trace_there = 0.0, 0.0, 0.0, 0.0
     for place in range(here.size):
         marks[here[place]] = x[place]
@@ -64,6 +75,7 @@ def compare(
         others[there[place]] = 0.0
     found[LEFT], found[ENTERED], found[OVERLAP] = lefts, enters, overlap
     found[SQUARES], found[TRACE_HERE], found[TRACE_THERE] = squares, trace_here, trace_there
+    return True
 
 
 @kernel("int64(int64[::1], float64[::1], float64, float64[::1], int64[::1], boolean[::1], int64)")
@@ -99,28 +111,34 @@ def shrink_trace(trace: Array, support: Array, listed: Array, count: int, scale:
     return kept
 
 
-@kernel("void(float64[::1], int32[::1], {t}[::1], {t}[::1], {t}[::1], {t}, {t}[::1], int64, int64)", each=True)
+@kernel("void({t}[::1], int32[::1], {t}[::1], {t}[::1], {t}[::1], {t}, {t}[::1], int64, int64)", each=True)
 def cumulate(
     signals: Array, source: Array, raw: Array, low: Array, high: Array, scale: float, z: Array, first: int, end: int
 ) -> None:
     """Set the cumulants `z`: the signals themselves where `raw` is 1, else whether low <= signal < high."""
-    zero, one = z.dtype.type(0), z.dtype.type(1)
-    for j in range(first, end):
-        signal = z.dtype.type(signals[source[j]])
-        inside = one if low[j] <= signal < high[j] else zero
-        z[j] = scale * (signal if raw[j] == one else inside)
+    zero = z.dtype.type(0)
+    for start in range(first, end, BLOCK):
+        stop = min(start + BLOCK, end)
+        some, kinds, lows, highs = source[start:stop], raw[start:stop], low[start:stop], high[start:stop]
+        values = z[start:stop]
+        for j in range(values.size):
+            values[j] = signals[some[j]]
+        for j in range(values.size):
+            signal = values[j]
+            inside = scale if (lows[j] <= signal) & (signal < highs[j]) else zero
+            values[j] = scale * kinds[j] * signal + inside
 
 
 @kernel()
 def _correct(total: Array, beta: Array, offset: Array, estimate: Array, p: Array, change: Array) -> None:
     """Set `change` to what is due to the weights of all active features: see `lazy_trace`."""
     alpha, kappa, square, here = p[ALPHA], p[KAPPA], p[SQUARE], p[HERE]
-    for j in range(total.size):
-        change[j] = total[j] + square * offset[j] + here * beta[j]
     if p[FRESH] != 0:
-        estimate[:] = change
+        for j in range(total.size):
+            estimate[j] = total[j] + square * offset[j] + here * beta[j]
     for j in range(total.size):
-        change[j] = alpha * (estimate[j] - change[j]) - kappa * beta[j]
+        value = total[j] + square * offset[j] + here * beta[j]
+        change[j] = alpha * (estimate[j] - value) - kappa * beta[j]
 
 
 @kernel()
@@ -128,10 +146,11 @@ def _learn(following: Array, beta: Array, estimate: Array, z: Array, delta: Arra
     """Learn from the estimates of the following state, and keep them."""
     gamma, scale = p[GAMMA], p[SCALE]
     for j in range(delta.size):
-        delta[j] = z[j] + gamma * following[j] - estimate[j]
+        error = z[j] + gamma * following[j] - estimate[j]
+        delta[j] = error
+        beta[j] += scale * error
     for j in range(delta.size):
-        beta[j] += scale * delta[j]
-    estimate[:] = following
+        estimate[j] = following[j]
 
 
 @kernel()
@@ -156,12 +175,13 @@ def step_by_changes(
     `x` and `y` are not read: the signature is that of `step_by_rows`.
     """
     one = weights.dtype.type(1)
+    room = np.empty((2, BLOCK), weights.dtype)
     common, there, direct, count = p[COMMON], p[THERE], p[DIRECT], weights.dtype.type(entered.size)
     for start in range(first, end, BLOCK):
         stop = min(start + BLOCK, end)
         totals, offsets, betas = total[start:stop], offset[start:stop], beta[start:stop]
         deltas = delta[start:stop]
-        change, following = np.empty_like(totals), np.empty_like(totals)
+        change, following = room[0, : totals.size], room[1, : totals.size]
         _correct(totals, betas, offsets, estimate[start:stop], p, change)
         for feature in entered:
             _add_row(weights[feature, start:stop], one, totals)
@@ -171,8 +191,9 @@ def step_by_changes(
             following[j] = totals[j] + common * offsets[j] + there * betas[j]
         _learn(following, betas, estimate[start:stop], z[start:stop], deltas, p)
         for j in range(totals.size):
-            offsets[j] += change[j] + direct * deltas[j]
-        _add_row(offsets, -count, totals)
+            new = offsets[j] + change[j] + direct * deltas[j]
+            offsets[j] = new
+            totals[j] -= count * new
         for feature in entered:
             _add_row(offsets, -one, weights[feature, start:stop])
         for feature in left:
@@ -185,12 +206,13 @@ def step_by_rows(
     here: Array, x: Array, there: Array, y: Array, p: Array, first: int, end: int,
 ) -> None:  # fmt: skip
     """Learn one step of any features, touching the weights of all that were or become active."""
+    room = np.empty((2, BLOCK), weights.dtype)
     common, trace_there, direct = p[COMMON], p[THERE], p[DIRECT]
     for start in range(first, end, BLOCK):
         stop = min(start + BLOCK, end)
         totals, offsets, betas = total[start:stop], offset[start:stop], beta[start:stop]
         deltas = delta[start:stop]
-        change, following = np.empty_like(totals), np.empty_like(totals)
+        change, following = room[0, : totals.size], room[1, : totals.size]
         _correct(totals, betas, offsets, estimate[start:stop], p, change)
         for j in range(totals.size):
             offsets[j] += change[j]

@@ -23,6 +23,8 @@ _FEATURES = "int64[::1], float64[::1]"
 @kernel(f"float64(float64[:,::1], int64, {_FEATURES})")
 def product(cells: Any, column: int, indices: Any, values: Any) -> Any:
     """Return the inner product of one column and the features; NaN for an index out of range."""
+    if not (values.size == 0 or values.size == indices.size):
+        return math.nan
     total = 0.0
     for k in range(indices.size):
         i = indices[k]

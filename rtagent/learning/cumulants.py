@@ -44,6 +44,7 @@ class Cumulants:
         self.low, self.high = np.zeros((2, len(cumulants)), dtype=precision)
         self.low[self.raw == 0] = [each.low for each in withins]
         self.high[self.raw == 0] = [each.high for each in withins]
+        self.high[self.raw == 1] = -np.inf  # what is taken as it is, is within nothing
         self._compiled = kernels.load("shared_trace")
 
     def __len__(self) -> int:
@@ -56,9 +57,9 @@ class Cumulants:
         end = len(self) if end is None else end
         if self._compiled is not None:
             table = (self.source, self.raw, self.low, self.high)
-            self._compiled.cumulate(signals, *table, out.dtype.type(scale), out, first, end)
+            self._compiled.cumulate(signals.astype(out.dtype), *table, out.dtype.type(scale), out, first, end)
             return
         some = slice(first, end)
         values = signals[self.source[some]].astype(out.dtype)
         within = (self.low[some] <= values) & (values < self.high[some])
-        out[some] = out.dtype.type(scale) * np.where(self.raw[some] == 1, values, within)
+        out[some] = out.dtype.type(scale) * (self.raw[some] * values + within)

@@ -29,6 +29,7 @@ from rtagent.learning.shared_trace import (
     Precision,
     Step,
     Vector,
+    refuse_unknown,
     restored_features,
     same_features,
     save_features,
@@ -114,7 +115,10 @@ class LazyTrace:
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
         features = _writable(step.features)
+        if not self._kernels.known(step.next_features.indices, len(self._trace)):
+            refuse_unknown((step.next_features,), len(self._trace))
         if not same_features(features, self._here):  # what came before is not known: the trace is cut here
+            refuse_unknown((features,), len(self._trace))
             yield from self._settle(features, 0.0)
             self._fresh = True
         elif self._count and self._scale * self._decay < self._smallest:
@@ -205,10 +209,12 @@ class LazyTrace:
         )  # fmt: skip
 
     def _compare(self, here: FeatureVector, there: FeatureVector) -> list[float]:
-        self._kernels.compare(
+        known = self._kernels.compare(
             here.indices, self._numbers(here), there.indices, self._numbers(there), self._trace,
             self._marks, self._others, self._left, self._entered, self._found,
         )  # fmt: skip
+        if not known:
+            refuse_unknown((here, there), len(self._trace))
         found: list[float] = self._found.tolist()
         return found
 

@@ -12,7 +12,7 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, taken
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import check_range, product, values_of
+from rtagent.learning.traces import check_count, check_range, product, values_of
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
@@ -53,6 +53,7 @@ class GTD:
         self.beta = step_size(beta, divide_alpha, active, "beta")
         self._rates = Rates(gamma, gamma_per, lambda_)
         self._target = target if callable(target) else _distribution(target)
+        check_count("size", size)
         claim(24 * size, "weights and their trace")
         self.theta: FloatArray = np.full(size, initial, dtype=np.float64)
         self.h, self.trace = np.zeros(size), np.zeros(size)
@@ -113,7 +114,7 @@ class GTD:
     def _value(self, weights: FloatArray, features: FeatureVector) -> float:
         try:
             return product(weights, features)
-        except IndexError:
+        except (IndexError, ValueError):
             check_range(0, features, 1, weights.size)
             raise
 

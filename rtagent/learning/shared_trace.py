@@ -6,7 +6,7 @@ Demons that share features, continuation, λ, step size and policy have the same
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtagent import kernels
+from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.cumulants import Cumulants
 from rtagent.memory import claim
@@ -93,6 +94,7 @@ class SharedTrace:
 
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
+        refuse_unknown((step.features, step.next_features), self.size)
         indices, x = step.features.indices, numbers_of(step.features)
         if not same_features(step.features, self._here):  # what came before is not known: the trace is cut here
             self._decay, self._fresh = 0.0, True
@@ -163,6 +165,14 @@ def same_features(one: FeatureVector, other: FeatureVector) -> bool:
     if one.values is None or other.values is None:
         return alike and one.values is other.values
     return alike and np.array_equal(one.values, other.values)
+
+
+def refuse_unknown(vectors: Iterable[FeatureVector], size: int) -> None:
+    """Raise `SpecError` for a feature that there are no weights for."""
+    for indices, _ in vectors:
+        if len(indices) and not (indices.min() >= 0 and indices.max() < size):
+            outside = indices[(indices < 0) | (indices >= size)][0]
+            raise SpecError(f"there is no feature {outside}: this learner was made with size {size}.")
 
 
 def _values(weights: NDArray[Any], features: FeatureVector) -> Vector:

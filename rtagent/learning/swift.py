@@ -17,7 +17,15 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, parts_of
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import ALL_ONES, as_arrays, check_range, product, values_of, worth_compiling
+from rtagent.learning.traces import (
+    ALL_ONES,
+    as_arrays,
+    check_count,
+    check_range,
+    product,
+    values_of,
+    worth_compiling,
+)
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
@@ -88,6 +96,7 @@ class SwiftTD:
         initial: float = 0.0,
     ) -> None:
         first = min(step_size(alpha, divide_alpha, active), step_size(eta, False, 0, "eta"))
+        check_count("size", size)
         limits = _limits(eta, meta_step_size, epsilon)
         self._rates = Rates(gamma, gamma_per, lambda_)
         compiled = kernels.load("swift") if worth_compiling(1, size, active) else None
@@ -145,7 +154,7 @@ class DenseSwift:
         """Return the inner product of the weights and the features."""
         try:
             return product(self.w, features)
-        except IndexError:
+        except (IndexError, ValueError):
             check_range(0, features, 1, self.w.size)
             raise
 
@@ -156,10 +165,10 @@ class DenseSwift:
         """Learn one transition; return δ and the value of the features that follow."""
         value, next_value = self.value(features), self.value(following)
         before = value if math.isnan(estimate) else estimate
-        delta = reward + gamma * next_value - before
-        if not math.isfinite(delta + value + next_value):
+        delta, rate = reward + gamma * next_value - before, self._rate_of_learning(features)
+        if not math.isfinite(delta + value + next_value + rate):
             return math.nan, next_value
-        self._see(features)
+        self._see(features, rate)
         self._move(delta, value - before)
         self._fade(decay)
         return delta, next_value
@@ -167,12 +176,16 @@ class DenseSwift:
     def restored(self) -> None:
         """Do nothing: the arrays are all there is."""
 
-    def _see(self, features: FeatureVector) -> None:
+    def _rate_of_learning(self, features: FeatureVector) -> float:
+        """Return by which part of its error a step would move the value of these features."""
+        phi = values_of(features)
+        return float((np.exp(self.beta[features.indices]) * phi * phi).sum())
+
+    def _see(self, features: FeatureVector, rate: float) -> None:
         """Put the features into the traces, within the bound on the rate of learning."""
-        i, phi = features.indices, values_of(features)
-        step_sizes, traced = np.exp(self.beta[i]), product(self.z, features)
-        rate, eta = float((step_sizes * phi * phi).sum()), self._limits.eta
-        self.z_delta[i] = z_delta = min(1.0, eta / rate if rate else 1.0) * step_sizes * phi
+        i, phi, eta = features.indices, values_of(features), self._limits.eta
+        traced = product(self.z, features)
+        self.z_delta[i] = z_delta = min(1.0, eta / rate if rate else 1.0) * np.exp(self.beta[i]) * phi
         if rate > eta:
             self.h[i] = self.h_old[i] = self.z_bar[i] = 0.0
             self.beta[i] += self._limits.log_epsilon * phi * phi

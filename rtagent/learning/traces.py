@@ -5,6 +5,7 @@ readable one; `LazyTraces` touches only what is active, in `rtagent.kernels.line
 
 Each rule (`credit`, `dutch`) does one step towards a target, and then lets the trace decay by γλ of the state that
 comes next; a decay of 0 resets it. What is not finite changes nothing: the δ that is returned is not finite then.
+Kernels run without the GIL: ask and learn from one thread at a time.
 """
 
 from __future__ import annotations
@@ -67,6 +68,12 @@ class Traces(Protocol):
         """Take a saved state, of either form."""
 
 
+def check_count(name: str, number: int) -> None:
+    """Raise `SpecError` unless there is at least one."""
+    if number < 1:
+        raise SpecError(f"{name} is {number}: give 1 or more.")
+
+
 def worth_compiling(rows: int, size: int, active: int) -> bool:
     """Whether what is learned is large enough for kernels."""
     return active > 1 and rows * size >= WORTH_COMPILING
@@ -74,9 +81,8 @@ def worth_compiling(rows: int, size: int, active: int) -> bool:
 
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
     """Return the form that is quicker for so many weights and active features (0: unknown, so the dense one)."""
-    for name, number in (("size", size), ("actions", rows)):
-        if number < 1:
-            raise SpecError(f"{name} is {number}: give 1 or more.")
+    check_count("size", size)
+    check_count("actions", rows)
     linear = kernels.load("linear") if worth_compiling(rows, size, active) else None
     return DenseTraces(rows, size, initial) if linear is None else LazyTraces(rows, size, initial, linear)
 
@@ -100,7 +106,7 @@ class DenseTraces:
         """Return the inner product of one row of the weights and the features."""
         try:
             return product(self._weights[row], features)
-        except IndexError:
+        except (IndexError, ValueError):
             check_range(row, features, *self._weights.shape)
             raise
 
@@ -108,7 +114,7 @@ class DenseTraces:
         """Return the inner products of every row, shape (rows,)."""
         try:
             return products(self._weights, features)
-        except IndexError:
+        except (IndexError, ValueError):
             check_range(0, features, *self._weights.shape)
             raise
 
@@ -141,7 +147,8 @@ class DenseTraces:
 
     def reset(self) -> None:
         """Set the trace to 0."""
-        self._trace[:] = 0.0
+        if not self._empty:
+            self._trace[:] = 0.0
         self._empty = True
 
     def save(self) -> Saved:
@@ -286,7 +293,9 @@ def _parts(saved: Saved, shape: tuple[int, int]) -> _Parts:
 
 
 def check_range(row: int, features: FeatureVector, rows: int, size: int) -> None:
-    """Raise `SpecError` for an action or a feature that there are no weights for."""
+    """Raise `SpecError` for an action or a feature that there are no weights for, or another number of values."""
+    if features.values is not None and len(features.values) != len(features.indices):
+        raise SpecError(f"there are {len(features.indices)} active features with {len(features.values)} values.")
     if not 0 <= row < rows:
         raise SpecError(f"there is no action {row}: this learner was made for {rows}.")
     for index in features.indices:
@@ -308,7 +317,8 @@ def values_of(features: FeatureVector) -> FloatArray | float:
 def product(weights: FloatArray, features: FeatureVector) -> float:
     """Return the inner product of `weights`, shape (size,), and `features`."""
     if features.values is not None:
-        return float(weights[features.indices] @ features.values)
+        with np.errstate(invalid="ignore"):  # the learner tells what is not finite
+            return float(weights[features.indices] @ features.values)
     if features.indices.size == 1:
         return float(weights[features.indices[0]])
     return float(weights[features.indices].sum())
@@ -319,5 +329,6 @@ def products(weights: FloatArray, features: FeatureVector) -> FloatArray:
     if features.values is None and features.indices.size == 1:
         return weights[:, features.indices[0]].copy()
     columns = weights[:, features.indices]
-    values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
+    with np.errstate(invalid="ignore"):
+        values: FloatArray = columns.sum(axis=1) if features.values is None else columns @ features.values
     return values
