@@ -376,7 +376,7 @@ def test_memory_is_claimed_before_it_is_taken() -> None:
         coder = SelectiveKanerva(state=cube(12), prototypes=5000)
     kept = sum(each.nbytes for each in coder._encode.__self__._nearest.args)  # type: ignore[attr-defined]
     assert kept <= sum(claims.values()) * 1.01
-    with pytest.raises(SpecError, match="prototypes takes"):
+    with pytest.raises(SpecError, match="for prototypes is more than"):
         SelectiveKanerva(state=cube(12), prototypes=10**12)
     with pytest.raises(SpecError, match="hashed tiles takes"):
         TileCoding(state=cube(2), memory=10**14)
