@@ -11,6 +11,7 @@ Kernels run without the GIL: ask and learn from one thread at a time.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol
@@ -60,6 +61,12 @@ class Traces(Protocol):
 
     def reset(self) -> None:
         """Set the trace to 0."""
+
+    def folding(self) -> Generator[None, None, None]:
+        """Do what an update has left to do, in slices; without it the next update does it.
+
+        How much of it was done changes no bit of what is predicted or learned.
+        """
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -151,9 +158,13 @@ class DenseTraces:
             self._trace[:] = 0.0
         self._empty = True
 
+    def folding(self) -> Generator[None, None, None]:
+        """Do nothing: an update leaves nothing to do."""
+        yield from ()
+
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size)."""
-        return {"weights": self._weights.copy(), "trace": self._trace.copy(), "scale": 1.0, "shift": 0.0}
+        return vars(_Parts(self._weights.copy(), self._trace.copy()))
 
     def restore(self, saved: Saved) -> None:
         """Take a saved state, of either form."""
@@ -177,13 +188,15 @@ class LazyTraces:
         claim(32 * rows * size, "weights and their trace")
         self.size, self._shape, self._kernels = size, (rows, size), linear
         self._value, self._credit, self._dutch = linear.value, linear.credit, linear.dutch
-        self._cells: FloatArray = np.zeros((rows * size + 1, 4))
-        self._cells[:-1, linear.U] = initial
-        self._cells[-1, linear.SCALE] = 1.0
+        self._cells: FloatArray = np.zeros((rows * size + 2, 4))
+        self._cells[:-2, linear.U] = initial
+        self._cells[-1, [linear.SCALE, linear.CURRENT]] = 1.0
+        self._cells[-2, linear.FOLDED] = -1.0
 
     @property
     def weights(self) -> FloatArray:
         """A copy of the weights, shape (rows, size)."""
+        self._fold()
         u, trace = self._column(self._kernels.U), self._column(self._kernels.TRACE)
         weights: FloatArray = u + self._cells[-1, self._kernels.SHIFT] * trace
         return weights
@@ -246,16 +259,24 @@ class LazyTraces:
 
     def reset(self) -> None:
         """Set the trace to 0."""
+        self._fold()
         self._kernels.move(self._cells, 0.0, 0.0)
+
+    def folding(self) -> Generator[None, None, None]:
+        """Do what an update has left to do, in slices."""
+        while self._kernels.fold(self._cells, self._kernels.BLOCK):
+            yield
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size), before scale and shift are written into them."""
-        last, k = self._cells[-1], self._kernels
+        self._fold()
+        k = self._kernels
         return {
             "weights": self._column(k.U).copy(),
             "trace": self._column(k.TRACE).copy(),
-            "scale": float(last[k.SCALE]),
-            "shift": float(last[k.SHIFT]),
+            "scale": float(self._cells[-1, k.SCALE]),
+            "shift": float(self._cells[-1, k.SHIFT]),
+            "largest": float(self._cells[-2, k.LARGEST_BEFORE]),
         }
 
     def restore(self, saved: Saved) -> None:
@@ -263,13 +284,18 @@ class LazyTraces:
         parts, k = _parts(saved, self._shape), self._kernels
         self._column(k.U)[:], self._column(k.TRACE)[:] = parts.weights, parts.trace
         support = np.flatnonzero(parts.trace)
-        self._cells[:-1, k.INSIDE] = 0.0
-        self._cells[support, k.INSIDE] = 1.0
+        self._cells[:-2, k.MARK] = 0.0
+        self._cells[support, k.MARK] = 1.0
         self._cells[: support.size, k.SUPPORT] = support
-        self._cells[-1, [k.SCALE, k.SHIFT, k.COUNT]] = parts.scale, parts.shift, support.size
+        self._cells[-1] = parts.scale, parts.shift, support.size, 1.0
+        self._cells[-2] = -1.0, 0.0, 0.0, parts.largest
 
     def _column(self, which: int) -> FloatArray:
-        return self._cells[:-1, which].reshape(self._shape)
+        return self._cells[:-2, which].reshape(self._shape)
+
+    def _fold(self) -> None:
+        """Finish a fold that is under way."""
+        self._kernels.fold(self._cells, len(self._cells))
 
     def _check_range(self, row: int, features: FeatureVector) -> None:
         """Say so if it was an index out of range that gave NaN."""
@@ -278,17 +304,21 @@ class LazyTraces:
 
 @dataclass
 class _Parts:
-    """What is saved: weights + shift · trace are the weights, scale · trace is the trace."""
+    """What is saved: weights + shift · trace are the weights, scale · trace is the trace.
+
+    `largest` was its largest entry when scale and shift were last written into both.
+    """
 
     weights: FloatArray
     trace: FloatArray
     scale: float = 1.0
     shift: float = 0.0
+    largest: float = 0.0
 
 
 def _parts(saved: Saved, shape: tuple[int, int]) -> _Parts:
     parts = _Parts(np.empty(shape), np.empty(shape))
-    restore_fields(parts, ("weights", "trace", "scale", "shift"), saved)
+    restore_fields(parts, ("weights", "trace", "scale", "shift", "largest"), saved)
     return parts
 
 
