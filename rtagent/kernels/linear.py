@@ -151,22 +151,23 @@ def credit(
     return delta
 
 
-@kernel(f"float64({_FEATURES}, float64, float64, float64, float64)")
+@kernel(f"UniTuple(float64, 2)({_FEATURES}, int64, int64[::1], float64[::1], " + ", ".join(["float64"] * 5) + ")")
 def dutch(
-    cells: Any, row: int, size: int, indices: Any, values: Any,
-    target: float, estimate: float, alpha: float, decay: float,
-) -> Any:  # fmt: skip
-    """Do one step of true online TD(λ), whose trace holds α, then e ← decay·e; return δ.
+    cells: Any, row: int, size: int, indices: Any, values: Any, next_row: int, next_indices: Any, next_values: Any,
+    reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Do one step of true online TD(λ), whose trace holds α, then e ← decay·e; return δ and the next value.
 
     `estimate` is the value that the step before gave to this state, NaN before the first.
     """
     fold(cells, cells.shape[0])
+    next_value = value(cells, next_row, size, next_indices, next_values)
     now, traced = products(cells, row, size, indices, values)
     before = now if math.isnan(estimate) else estimate
-    delta = target - before
+    delta = reward + gamma * next_value - before
     if not math.isfinite(delta + now):
-        return math.nan
+        return math.nan, next_value
     to_trace = alpha * (1.0 - traced) / cells[-1, SCALE]
     add(cells, row, size, indices, values, to_trace, alpha * (before - now))
     move(cells, delta, decay)
-    return delta
+    return delta, next_value

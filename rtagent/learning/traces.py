@@ -29,6 +29,8 @@ WORTH_COMPILING = 1000
 
 ALL_ONES: FloatArray = np.empty(0)
 """How kernels are told that all values are 1."""
+NOTHING = FeatureVector(np.empty(0, dtype=np.intp))
+"""What is active after the end."""
 
 
 class Traces(Protocol):
@@ -52,9 +54,10 @@ class Traces(Protocol):
         """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ.
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ and the next value.
 
         `estimate` is the value that the step before gave to this state, NaN before the first.
         """
@@ -138,19 +141,20 @@ class DenseTraces:
         return delta
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
-        value, values = self.value(row, features), values_of(features)
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1; e holds α); return δ and the next value."""
+        value, next_value = self.value(row, features), self.value(next_row, following)
         before = value if math.isnan(estimate) else estimate
-        delta = target - before
+        delta = reward + gamma * next_value - before
         if not math.isfinite(delta + value):
-            return math.nan
-        traced = product(self._trace[row], features)
+            return math.nan, next_value
+        traced, values = product(self._trace[row], features), values_of(features)
         self._trace[row, features.indices] += alpha * (1.0 - traced) * values
         self._weights[row, features.indices] += alpha * (before - value) * values
         self._move(row, features, delta, decay)
-        return delta
+        return delta, next_value
 
     def reset(self) -> None:
         """Set the trace to 0."""
@@ -243,19 +247,22 @@ class LazyTraces:
         return delta
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
-        indices, values = features
-        values = ALL_ONES if values is None else values
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1; e holds α); return δ and the next value."""
+        (i, phi), (j, psi) = features, following
+        phi, psi = ALL_ONES if phi is None else phi, ALL_ONES if psi is None else psi
+        cells, size, numbers = self._cells, self.size, (gamma, estimate, alpha, decay)
         try:
-            delta: float = self._dutch(self._cells, row, self.size, indices, values, target, estimate, alpha, decay)
+            found: tuple[float, float] = self._dutch(cells, row, size, i, phi, next_row, j, psi, reward, *numbers)
         except TypeError:
-            known = as_arrays(features)
-            delta = self._dutch(self._cells, row, self.size, *known, float(target), estimate, alpha, decay)
-        if delta != delta:
+            known, then = as_arrays(features), as_arrays(following)
+            found = self._dutch(cells, row, size, *known, next_row, *then, float(reward), *numbers)
+        if found[0] != found[0]:
             self._check_range(row, features)
-        return delta
+            self._check_range(next_row, following)
+        return found
 
     def reset(self) -> None:
         """Set the trace to 0."""
