@@ -225,7 +225,7 @@ def test_a_trace_that_has_faded_is_forgotten_so_that_a_fold_costs_only_what_was_
 
 @pytest.mark.parametrize("make", [make for name, make in MAKERS.items() if name != "SwiftTD"])
 def test_where_an_update_is_suspended_changes_no_bit_of_what_is_predicted_or_learned(make: Make) -> None:
-    size, active, rng = 2 * linear.BLOCK, 3000, np.random.default_rng(8)
+    size, active, rng = 4 * linear.BLOCK, 3000, np.random.default_rng(8)
     whole, sliced, saved = (make(size=size, active=active, gamma=0.5, lambda_=0.5) for _ in range(3))
     suspended, before = 0, vector(rng, rng.permutation(size)[:active], real=True)
     for _ in range(40):

@@ -271,8 +271,9 @@ class LazyTraces:
 
     def folding(self) -> Generator[None, None, None]:
         """Do what an update has left to do, in slices."""
-        while self._kernels.fold(self._cells, self._kernels.BLOCK):
+        while self._cells[-2, self._kernels.FOLDED] >= 0.0:
             yield
+            self._kernels.fold(self._cells, self._kernels.BLOCK)
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size), before scale and shift are written into them."""
