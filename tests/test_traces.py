@@ -204,7 +204,7 @@ def apply(form: Traces, name: str, row: int, features: FeatureVector, target: fl
         form.reset()
         return 0.0
     if name == "dutch":
-        return form.dutch(row, features, target, target / 2, 0.1, decay)
+        return form.dutch(row, features, 0, features, target, 0.7, target / 2, 0.1, decay)[0]
     return form.credit(row, features, target, 0.1, decay, replacing=name == "replace")
 
 
@@ -221,6 +221,36 @@ def test_a_trace_that_has_faded_is_forgotten_so_that_a_fold_costs_only_what_was_
             lazy.credit(0, FeatureVector(np.arange(first, first + 10)), 1.0, 0.01, 0.5)
     assert np.count_nonzero(lazy.save()["trace"]) <= 50
     assert np.count_nonzero(lazy.weights) == 1000
+
+
+@pytest.mark.parametrize("make", [make for name, make in MAKERS.items() if name != "SwiftTD"])
+def test_where_an_update_is_suspended_changes_no_bit_of_what_is_predicted_or_learned(make: Make) -> None:
+    size, active, rng = 4 * linear.BLOCK, 3000, np.random.default_rng(8)
+    whole, sliced, saved = (make(size=size, active=active, gamma=0.5, lambda_=0.5) for _ in range(3))
+    suspended, before = 0, vector(rng, rng.permutation(size)[:active], real=True)
+    for _ in range(40):
+        after = vector(rng, rng.permutation(size)[:active], real=True)
+        t = Transition(
+            before, int(rng.integers(2)), 1.0, rng.normal(), after, int(rng.integers(2)), 0, False, False
+        )
+        whole.update(t)
+        saved.update(t)
+        for _ in sliced.updating(t):
+            suspended += 1
+            assert values(sliced, after).tobytes() == values(whole, after).tobytes()
+            saved.save()
+            assert values(saved, after).tobytes() == values(whole, after).tobytes()
+        before = after
+    assert suspended >= 3
+    assert whole.weights.tobytes() == sliced.weights.tobytes() == saved.weights.tobytes()
+
+
+def test_an_update_in_slices_returns_its_delta() -> None:
+    (t,) = experience(np.random.default_rng(1), 1)
+    for learner, other in zip(both_forms(td), both_forms(td), strict=True):
+        with pytest.raises(StopIteration) as ended:
+            next(learner.updating(t))
+        assert ended.value.value == other.update(t) != 0.0
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ nothing, where its delta is not finite.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 
 import numpy as np
 
@@ -59,6 +60,12 @@ class Sarsa:
         gamma, decay = self._rates(t)
         target = t.reward + gamma * q.value(taken(t.next_action), t.next_features) if gamma else t.reward
         return checked(q.credit(taken(t.action), t.features, target, self.alpha, decay, self._replacing), t)
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._q.folding()
+        return delta
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -122,6 +129,12 @@ class QLearning:
             return False
         return bool(-math.inf < values[action] < values.max())
 
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._q.folding()
+        return delta
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return self._q.save()
@@ -178,6 +191,12 @@ class ExpectedSarsa:
         if not np.isfinite(values).all():
             return math.nan
         return float(self._policy.probabilities(values) @ values)
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._q.folding()
+        return delta
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""

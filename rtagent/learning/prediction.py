@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked
 from rtagent.learning.steps import Fraction, GammaPer, Rates, Trace, step_size
@@ -53,6 +55,12 @@ class TD:
         gamma, decay = self._rates(t)
         target = t.reward + gamma * theta.value(0, t.next_features) if gamma else t.reward
         return checked(theta.credit(0, t.features, target, self.alpha, decay, self._replacing), t)
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._theta.folding()
+        return delta
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""

@@ -19,6 +19,7 @@ from rtagent.learning.learner import checked, parts_of
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
 from rtagent.learning.traces import (
     ALL_ONES,
+    NOTHING,
     as_arrays,
     check_count,
     check_range,
@@ -33,7 +34,6 @@ SMALLEST_STEP_SIZE = 1e-10
 """No step size falls below it: the step of β is divided by it."""
 KEPT = ("w", "beta", "h", "h_old", "h_temp", "z", "z_delta", "z_bar", "p", "left")
 """What is kept of each weight, by the paper's names; and what is `left` of its traces since it was active."""
-NOTHING = FeatureVector(np.empty(0, dtype=np.intp))
 
 
 class Limits(NamedTuple):

@@ -11,6 +11,7 @@ Kernels run without the GIL: ask and learn from one thread at a time.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol
@@ -28,6 +29,8 @@ WORTH_COMPILING = 1000
 
 ALL_ONES: FloatArray = np.empty(0)
 """How kernels are told that all values are 1."""
+NOTHING = FeatureVector(np.empty(0, dtype=np.intp))
+"""What is active after the end."""
 
 
 class Traces(Protocol):
@@ -51,15 +54,22 @@ class Traces(Protocol):
         """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ.
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ and the next value.
 
         `estimate` is the value that the step before gave to this state, NaN before the first.
         """
 
     def reset(self) -> None:
         """Set the trace to 0."""
+
+    def folding(self) -> Generator[None, None, None]:
+        """Do what an update has left to do, in slices; without it the next update does it.
+
+        How much of it was done changes no bit of what is predicted or learned.
+        """
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -131,19 +141,20 @@ class DenseTraces:
         return delta
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
-        value, values = self.value(row, features), values_of(features)
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1; e holds α); return δ and the next value."""
+        value, next_value = self.value(row, features), self.value(next_row, following)
         before = value if math.isnan(estimate) else estimate
-        delta = target - before
+        delta = reward + gamma * next_value - before
         if not math.isfinite(delta + value):
-            return math.nan
-        traced = product(self._trace[row], features)
+            return math.nan, next_value
+        traced, values = product(self._trace[row], features), values_of(features)
         self._trace[row, features.indices] += alpha * (1.0 - traced) * values
         self._weights[row, features.indices] += alpha * (before - value) * values
         self._move(row, features, delta, decay)
-        return delta
+        return delta, next_value
 
     def reset(self) -> None:
         """Set the trace to 0."""
@@ -151,9 +162,13 @@ class DenseTraces:
             self._trace[:] = 0.0
         self._empty = True
 
+    def folding(self) -> Generator[None, None, None]:
+        """Do nothing: an update leaves nothing to do."""
+        yield from ()
+
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size)."""
-        return {"weights": self._weights.copy(), "trace": self._trace.copy(), "scale": 1.0, "shift": 0.0}
+        return vars(_Parts(self._weights.copy(), self._trace.copy()))
 
     def restore(self, saved: Saved) -> None:
         """Take a saved state, of either form."""
@@ -177,13 +192,15 @@ class LazyTraces:
         claim(32 * rows * size, "weights and their trace")
         self.size, self._shape, self._kernels = size, (rows, size), linear
         self._value, self._credit, self._dutch = linear.value, linear.credit, linear.dutch
-        self._cells: FloatArray = np.zeros((rows * size + 1, 4))
-        self._cells[:-1, linear.U] = initial
-        self._cells[-1, linear.SCALE] = 1.0
+        self._cells: FloatArray = np.zeros((rows * size + 2, 4))
+        self._cells[:-2, linear.U] = initial
+        self._cells[-1, [linear.SCALE, linear.CURRENT]] = 1.0
+        self._cells[-2, linear.FOLDED] = -1.0
 
     @property
     def weights(self) -> FloatArray:
         """A copy of the weights, shape (rows, size)."""
+        self._fold()
         u, trace = self._column(self._kernels.U), self._column(self._kernels.TRACE)
         weights: FloatArray = u + self._cells[-1, self._kernels.SHIFT] * trace
         return weights
@@ -230,32 +247,44 @@ class LazyTraces:
         return delta
 
     def dutch(
-        self, row: int, features: FeatureVector, target: float, estimate: float, alpha: float, decay: float
-    ) -> float:
-        """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ."""
-        indices, values = features
-        values = ALL_ONES if values is None else values
+        self, row: int, features: FeatureVector, next_row: int, following: FeatureVector,
+        reward: float, gamma: float, estimate: float, alpha: float, decay: float,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Do one step of true online TD(λ) (thesis, Algorithm 1; e holds α); return δ and the next value."""
+        (i, phi), (j, psi) = features, following
+        phi, psi = ALL_ONES if phi is None else phi, ALL_ONES if psi is None else psi
+        cells, size, numbers = self._cells, self.size, (gamma, estimate, alpha, decay)
         try:
-            delta: float = self._dutch(self._cells, row, self.size, indices, values, target, estimate, alpha, decay)
+            found: tuple[float, float] = self._dutch(cells, row, size, i, phi, next_row, j, psi, reward, *numbers)
         except TypeError:
-            known = as_arrays(features)
-            delta = self._dutch(self._cells, row, self.size, *known, float(target), estimate, alpha, decay)
-        if delta != delta:
+            known, then = as_arrays(features), as_arrays(following)
+            found = self._dutch(cells, row, size, *known, next_row, *then, float(reward), *numbers)
+        if found[0] != found[0]:
             self._check_range(row, features)
-        return delta
+            self._check_range(next_row, following)
+        return found
 
     def reset(self) -> None:
         """Set the trace to 0."""
+        self._fold()
         self._kernels.move(self._cells, 0.0, 0.0)
+
+    def folding(self) -> Generator[None, None, None]:
+        """Do what an update has left to do, in slices."""
+        while self._cells[-2, self._kernels.FOLDED] >= 0.0:
+            yield
+            self._kernels.fold(self._cells, self._kernels.BLOCK)
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size), before scale and shift are written into them."""
-        last, k = self._cells[-1], self._kernels
+        self._fold()
+        k = self._kernels
         return {
             "weights": self._column(k.U).copy(),
             "trace": self._column(k.TRACE).copy(),
-            "scale": float(last[k.SCALE]),
-            "shift": float(last[k.SHIFT]),
+            "scale": float(self._cells[-1, k.SCALE]),
+            "shift": float(self._cells[-1, k.SHIFT]),
+            "largest": float(self._cells[-2, k.LARGEST_BEFORE]),
         }
 
     def restore(self, saved: Saved) -> None:
@@ -263,13 +292,18 @@ class LazyTraces:
         parts, k = _parts(saved, self._shape), self._kernels
         self._column(k.U)[:], self._column(k.TRACE)[:] = parts.weights, parts.trace
         support = np.flatnonzero(parts.trace)
-        self._cells[:-1, k.INSIDE] = 0.0
-        self._cells[support, k.INSIDE] = 1.0
+        self._cells[:-2, k.MARK] = 0.0
+        self._cells[support, k.MARK] = 1.0
         self._cells[: support.size, k.SUPPORT] = support
-        self._cells[-1, [k.SCALE, k.SHIFT, k.COUNT]] = parts.scale, parts.shift, support.size
+        self._cells[-1] = parts.scale, parts.shift, support.size, 1.0
+        self._cells[-2] = -1.0, 0.0, 0.0, parts.largest
 
     def _column(self, which: int) -> FloatArray:
-        return self._cells[:-1, which].reshape(self._shape)
+        return self._cells[:-2, which].reshape(self._shape)
+
+    def _fold(self) -> None:
+        """Finish a fold that is under way."""
+        self._kernels.fold(self._cells, len(self._cells))
 
     def _check_range(self, row: int, features: FeatureVector) -> None:
         """Say so if it was an index out of range that gave NaN."""
@@ -278,17 +312,21 @@ class LazyTraces:
 
 @dataclass
 class _Parts:
-    """What is saved: weights + shift · trace are the weights, scale · trace is the trace."""
+    """What is saved: weights + shift · trace are the weights, scale · trace is the trace.
+
+    `largest` was its largest entry when scale and shift were last written into both.
+    """
 
     weights: FloatArray
     trace: FloatArray
     scale: float = 1.0
     shift: float = 0.0
+    largest: float = 0.0
 
 
 def _parts(saved: Saved, shape: tuple[int, int]) -> _Parts:
     parts = _Parts(np.empty(shape), np.empty(shape))
-    restore_fields(parts, ("weights", "trace", "scale", "shift"), saved)
+    restore_fields(parts, ("weights", "trace", "scale", "shift", "largest"), saved)
     return parts
 
 

@@ -7,11 +7,12 @@ first state, and the value after termination as 0.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, parts_of, taken
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import make_traces
+from rtagent.learning.traces import NOTHING, make_traces
 from rtagent.saving import Saved
 
 
@@ -54,10 +55,18 @@ class TrueOnlineTD:
         """Learn (S, R, S') and return delta; raise `SpecError`, learning nothing, where it is not finite."""
         t, theta = transition, self._theta
         gamma, decay = self._rates(t)
-        next_value = 0.0 if t.terminated else theta.value(0, t.next_features)
-        target = t.reward + gamma * next_value
-        delta = checked(theta.dutch(0, t.features, target, self._estimate, self.alpha, decay), t)
+        following = NOTHING if t.terminated else t.next_features
+        delta, next_value = theta.dutch(
+            0, t.features, 0, following, t.reward, gamma, self._estimate, self.alpha, decay
+        )
+        checked(delta, t)
         self._estimate = math.nan if t.last else next_value
+        return delta
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._theta.folding()
         return delta
 
     def save(self) -> Saved:
@@ -107,10 +116,18 @@ class TrueOnlineSarsa:
         """Learn (S, A, R, S', A') and return delta; raise `SpecError`, learning nothing, where it is not finite."""
         t, q = transition, self._q
         gamma, decay = self._rates(t)
-        next_value = 0.0 if t.terminated else q.value(taken(t.next_action), t.next_features)
-        target = t.reward + gamma * next_value
-        delta = checked(q.dutch(taken(t.action), t.features, target, self._estimate, self.alpha, decay), t)
+        then, following = (0, NOTHING) if t.terminated else (taken(t.next_action), t.next_features)
+        delta, next_value = q.dutch(
+            taken(t.action), t.features, then, following, t.reward, gamma, self._estimate, self.alpha, decay
+        )
+        checked(delta, t)
         self._estimate = math.nan if t.last else next_value
+        return delta
+
+    def updating(self, transition: Transition) -> Generator[None, None, float]:
+        """Do what `update` does, in slices."""
+        delta = self.update(transition)
+        yield from self._q.folding()
         return delta
 
     def save(self) -> Saved:
