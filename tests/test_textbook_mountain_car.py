@@ -102,9 +102,8 @@ def test_long_traces_learn_quicker_than_none_at_their_best(lambda_: float) -> No
     assert steps(lambda_, 1.0).mean() < steps(0.0, 1.5).mean() - MARGIN
 
 
-@pytest.mark.parametrize(("lambda_", "small", "better"), [(0.0, 0.5, 1.5), (0.92, 0.25, 1.0)])
-def test_small_steps_learn_slowly(lambda_: float, small: float, better: float) -> None:
-    assert steps(lambda_, better).mean() < steps(lambda_, small).mean() - MARGIN
+def test_small_steps_learn_slowly() -> None:
+    assert steps(0.92, 1.0).mean() < steps(0.92, 0.25).mean() - MARGIN
 
 
 def test_it_goes_on_learning_within_the_50_episodes() -> None:
