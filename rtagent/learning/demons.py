@@ -17,7 +17,8 @@ from rtagent.learning.off_policy import Target
 from rtagent.learning.steps import Fraction, GammaPer, checked_fraction
 from rtagent.specs import Spec
 
-Algorithm = Literal["true_online_td", "td", "swift_td", "gtd"]
+OnPolicy = Literal["true_online_td", "td", "swift_td"]
+Algorithm = OnPolicy | Literal["gtd"]
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,10 @@ class Demons:
     gammas: tuple[float, ...] = (0.9,)
     gamma_per: GammaPer = "step"
     bins: int = 0
-    learner: Algorithm = "true_online_td"
+    learner: OnPolicy = "true_online_td"
     alpha: float | None = None
     divide_alpha: bool | None = None
     lambda_: float | None = None
-    policy: tuple[float, ...] | None = None
     normalised: bool = True
     name: str = ""
     on: tuple[str, ...] = ()
@@ -120,9 +120,7 @@ class Demons:
             label = f"{self.name}: {signal}" if self.name else signal
             for part, cumulant, span in self._cumulants(signal, place, spec):
                 name = f"{label}{part} γ={continuation}"
-                yield Demon(
-                    name, cumulant, continuation, self.policy, method, self.normalised, span, self.on, self.name
-                )
+                yield Demon(name, cumulant, continuation, None, method, self.normalised, span, self.on, self.name)
 
     def _cumulants(
         self, signal: str, place: int, spec: Spec
