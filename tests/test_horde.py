@@ -292,10 +292,6 @@ def test_a_feature_that_there_is_no_weight_for_is_told(compiled: bool, index: in
         ((Demons(alpha=0.0),), "alpha is 0"),
         ((Demons(lambda_=2.0),), "lambda_ is 2"),
         ((Demons(), Demons()), "two demons are called 'shoulder_position γ=0.9': give one of their sets a name"),
-        (
-            (Demon("mine", Signal(0), policy=(0.5, 0.5)),),
-            r"has the policy \(0.5, 0.5\) and learns by true_online_td",
-        ),
         ((Demons(on=("nothing",)),), "on names 'nothing', and no set of demons is called that"),
         ((Demons(name="a", on=("b",)), Demons(name="b", on=("a",))), "the demons 'a' are built on themselves"),
         ((Demons(name="a", normalised=False), Demons(on=("a",))), "let them be normalised"),
