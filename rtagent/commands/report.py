@@ -100,8 +100,8 @@ def _print_predictions(console: Console, result: Result) -> None:
     for column in table.columns[1:]:
         column.justify = "right"
     for name, errors in predictions.items():
-        rupee = "" if errors.rupee is None else f"{errors.rupee:.3g}"
-        table.add_row(escape(name), f"{errors.mae:.4g}", f"{errors.rmse:.4g}", rupee, f"{errors.verified:,}")
+        told = ("" if value is None else f"{value:.4g}" for value in (errors.mae, errors.rmse, errors.rupee))
+        table.add_row(escape(name), *told, f"{errors.verified:,}")
     console.print()
     console.print(table)
 

@@ -62,7 +62,7 @@ def _warn() -> None:
 @contextlib.contextmanager
 def _telling(name: str) -> Iterator[None]:
     """Say so where loading takes long."""
-    line = f"rtagent: compiling the kernels for {name}; they are kept for later runs.\n"
+    line = f"rtagent: getting the kernels for {name} ready; once compiled, they are kept for later runs.\n"
     timer = threading.Timer(SILENCE, lambda: sys.stderr.write(line))
     timer.daemon = True
     timer.start()

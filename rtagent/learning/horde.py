@@ -30,8 +30,9 @@ class Horde:
 
     `size` and `active` are those of the features, `state` the signals; `demons` declares what is predicted.
     `alpha` (of all active features together, unless `divide_alpha` is false) and `lambda_` are those of every set
-    that does not say otherwise. The returns of `measured` demons, evenly spread, are waited for and compared with
-    what was predicted; with `rupee` their projected errors are estimated too. Weights are float32 or float64.
+    that does not say otherwise. The returns of `measured` demons, evenly spread over those that predict
+    values, are waited for and compared with what was predicted; with `rupee` their projected errors are estimated
+    too. Weights are float32 or float64.
     A signal outside its declared range is learned from as the end of the range, and counted in `clipped`; raises
     `SpecError` for one that is not a number, before anything is learned.
     """
@@ -58,7 +59,7 @@ class Horde:
         cumulants = [self._signals.place(demon) for demon in self.demons]
         self._places = _grouped(self.demons)
         self.groups: list[DemonGroup] = []
-        measured_places = set(np.linspace(0, len(self.demons) - 1, min(measured, len(self.demons))).astype(int))
+        measured_places = _measured(self.demons, measured)
         for places in self._places:
             members = [self.demons[place] for place in places]
             table = Cumulants([cumulants[place] for place in places], precision)
@@ -184,6 +185,13 @@ def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec], usual: Me
         double = next(name for number, name in enumerate(names) if name in names[:number])
         raise SpecError(f"two demons are called {double!r}: give one of their sets a name.")
     return demons
+
+
+def _measured(demons: Sequence[Demon], count: int) -> set[int]:
+    """Return the places of so many demons, evenly spread: of those that predict values, if there are any."""
+    values = [place for place, demon in enumerate(demons) if not isinstance(demon.cumulant, Within)]
+    places = np.array(values or range(len(demons)))
+    return set(places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)].tolist())
 
 
 def _grouped(demons: Sequence[Demon]) -> list[list[int]]:

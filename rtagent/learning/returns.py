@@ -28,14 +28,14 @@ SLICE = 64
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of a demon's predictions against the returns that followed: mean absolute, root mean square.
+    """Errors of a demon's predictions against the returns that followed: mean absolute, root mean square (or None).
 
     `rupee` is its projected error by its own trace, where that was asked for; `verified` how many predictions
     were compared, `unverified` how many never had a known return.
     """
 
-    mae: float
-    rmse: float
+    mae: float | None
+    rmse: float | None
     rupee: float | None
     verified: int
     unverified: int
@@ -91,12 +91,13 @@ class Verifier:
 
     def errors(self, rupees: Sequence[float] | None = None) -> list[PredictionErrors]:
         """Return the errors of each demon."""
-        count = max(1, self.verified)
-        means, squares = (self.absolute / count).tolist(), (self.squared / count).tolist()
-        known = rupees if rupees is not None else [None] * len(means)
+        known = rupees if rupees is not None else [None] * len(self.absolute)
+        if not self.verified:
+            return [PredictionErrors(None, None, rupee, 0, self.unverified) for rupee in known]
+        means, squares = self.absolute / self.verified, self.squared / self.verified
         return [
             PredictionErrors(mean, math.sqrt(square), rupee, self.verified, self.unverified)
-            for mean, square, rupee in zip(means, squares, known, strict=True)
+            for mean, square, rupee in zip(means.tolist(), squares.tolist(), known, strict=True)
         ]
 
     def save(self) -> Saved:
