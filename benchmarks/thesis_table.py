@@ -1,10 +1,11 @@
 """Prints how many features can be computed within 100 ms, beside Table 4.1 of the thesis (a 2.5 GHz core).
 
 States are independent of each other: the worst case for selective Kanerva coding, which on a stream of similar
-states asks a list of neighbours instead of all prototypes. Features are its prototypes (eta 0.025, as in the thesis),
-and for tile coding the tilings, so that each feature counted was computed; the thesis counts all tiles. Each figure
-is from coders of about that size, scaled by what their median time differs from 100 ms; mean and standard deviation
-are over five seeds. A coder is made no larger than a quarter of the free memory allows: ≥ marks what that ended.
+states asks a list of neighbours instead of all prototypes. Features are its prototypes (eta 0.025, as in the
+thesis), and for tile coding the tilings, so that each feature counted was computed; the thesis counts all tiles.
+Each figure is from coders of about that size, scaled by what their median time differs from 100 ms; mean and
+standard deviation are over five seeds. A coder is made no larger than a quarter of the free memory allows: ≥ marks
+what that ended.
 """
 
 from __future__ import annotations
