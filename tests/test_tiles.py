@@ -165,7 +165,14 @@ def test_no_layers_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [Spec(), Spec(low=0.0), Spec(low=1.0, high=1.0), Spec(shape=(2,), low=0.0, high=1.0)]
+    "spec",
+    [
+        Spec(),
+        Spec(low=0.0),
+        Spec(low=1.0, high=1.0),
+        Spec(low=-1.7e308, high=1.7e308),
+        Spec(shape=(2,), low=0.0, high=1.0),
+    ],
 )
 def test_a_signal_that_cannot_be_normalised_is_named(spec: Spec) -> None:
     with pytest.raises(SpecError, match="signal 'knee'"):

@@ -113,7 +113,7 @@ class UnitCube:
 def _check_range(name: str, spec: Spec) -> None:
     if spec.shape:
         raise SpecError(f"signal {name!r} is an array of shape {spec.shape}: only a number can be normalised.")
-    if not (math.isfinite(spec.low) and math.isfinite(spec.high) and spec.low < spec.high):
+    if not (math.isfinite(spec.high - spec.low) and spec.low < spec.high):
         raise SpecError(f"signal {name!r} has no finite range to normalise by: declare low and high.")
 
 
