@@ -295,8 +295,11 @@ def test_the_plain_form_is_bit_for_bit_the_same_whether_it_touches_all_or_only_w
 
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_what_is_restored_in_the_middle_of_an_episode_goes_on_exactly(make: Make, compiled: bool) -> None:
-    (learner, other), (fresh, other_fresh) = both_forms(make), both_forms(make)
+@pytest.mark.parametrize("lambda_", [0.05, 0.9])
+def test_what_is_restored_in_the_middle_of_an_episode_goes_on_exactly(
+    make: Make, compiled: bool, lambda_: float
+) -> None:
+    (learner, other), (fresh, other_fresh) = both_forms(make, lambda_=lambda_), both_forms(make, lambda_=lambda_)
     if not compiled:
         learner, fresh = other, other_fresh
     first, *rest = np.array_split(np.array(list(experience(np.random.default_rng(2), 240)), dtype=object), 2)
@@ -374,6 +377,17 @@ def test_what_is_not_finite_never_reaches_a_weight(make: Make, where: str, what:
             learner.update(spoilt(last, f"{where} {what}"))
         assert as_text(learner.save()) == state
         assert math.isfinite(learner.update(last))
+
+
+def test_an_infinite_feature_does_not_even_cut_a_trace() -> None:
+    feature, infinite = FeatureVector(np.array([3, 4])), FeatureVector(np.array([3, 5]), np.array([math.inf, 1.0]))
+    for learner in both_forms(q):
+        for action, reward in ((0, 1.0), (1, -1.0), (0, 1.0)):
+            learner.update(Transition(feature, action, 1.0, reward, feature, None, 0, False, False))
+        before = as_text(learner.save())
+        with pytest.raises(SpecError, match="feature 3 of the features is inf"):
+            learner.update(Transition(infinite, 1, 1.0, 1.0, feature, None, 0, False, False))
+        assert as_text(learner.save()) == before
 
 
 def test_weights_that_grow_beyond_all_bounds_are_told_with_what_to_do() -> None:
