@@ -22,8 +22,9 @@ from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, Transition
 from rtagent.kernels import linear
 from rtagent.learning import TD, ExpectedSarsa, QLearning, Sarsa, SwiftTD, TrueOnlineSarsa, TrueOnlineTD
+from rtagent.learning.lazy import LazyTraces
 from rtagent.learning.swift import SparseSwift
-from rtagent.learning.traces import DenseTraces, LazyTraces, Traces, make_traces
+from rtagent.learning.traces import DenseTraces, Traces, make_traces
 from rtagent.policy import EpsilonGreedy
 from rtagent.saving import Saved
 

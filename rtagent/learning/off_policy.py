@@ -11,8 +11,8 @@ import numpy as np
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, taken
+from rtagent.learning.linear import check_count, check_range, product, values_of
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import check_count, check_range, product, values_of
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 

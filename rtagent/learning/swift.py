@@ -16,8 +16,7 @@ from rtagent import kernels
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, parts_of
-from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import (
+from rtagent.learning.linear import (
     ALL_ONES,
     NOTHING,
     as_arrays,
@@ -25,8 +24,9 @@ from rtagent.learning.traces import (
     check_range,
     product,
     values_of,
-    worth_compiling,
 )
+from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
+from rtagent.learning.traces import worth_compiling
 from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 

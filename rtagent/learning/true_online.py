@@ -11,8 +11,9 @@ from collections.abc import Generator
 
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.learner import checked, parts_of, taken
+from rtagent.learning.linear import NOTHING
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
-from rtagent.learning.traces import NOTHING, make_traces
+from rtagent.learning.traces import make_traces
 from rtagent.saving import Saved
 
 
