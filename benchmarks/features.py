@@ -120,7 +120,7 @@ def tiles() -> Iterator[Row]:
 
 
 def settle_allocator() -> None:
-    """Make the allocator keep what numpy's temporaries free; else page faults make the references 3 times slower."""
+    """Make the allocator keep what numpy frees: page faults would make the references 3 times slower."""
     np.ones(3 << 20)
 
 
