@@ -378,7 +378,7 @@ def test_memory_is_claimed_before_it_is_taken() -> None:
     assert kept <= sum(claims.values()) * 1.01
     with pytest.raises(SpecError, match="for prototypes is more than"):
         SelectiveKanerva(state=cube(12), prototypes=10**12)
-    with pytest.raises(SpecError, match="for hashed tiles is more than"):
+    with pytest.raises(SpecError, match="of hashed tiles is more than"):
         TileCoding(state=cube(2), memory=10**14)
 
 
