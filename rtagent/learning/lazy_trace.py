@@ -155,6 +155,7 @@ class LazyTrace:
         )
         learn = self._kernels.step_by_changes if changes else self._kernels.step_by_rows
         vectors = (self._table, self.total, self.beta, self.offset, self.estimate, self.cumulant, self.delta)
+        yield  # what has been prepared is a slice of its own
         for first, end in self._slices(2 * (len(rows[0]) + len(rows[2]))):
             self.cumulants.fill(step.signals, step.scale, self.cumulant, first, end)
             learn(*vectors, *rows, self._p, first, end)
