@@ -109,8 +109,8 @@ def indexed_td() -> Callable[[Transition], None]:
 def single_learners() -> Iterator[Row]:
     """Yield the rows of learners of one prediction."""
     transitions = stream(6000, slow=True)
-    ours = TrueOnlineTD(size=SIZE, active=ACTIVE, alpha=ALPHA, divide_alpha=True, gamma=GAMMA, lambda_=LAMBDA)
-    swift = SwiftTD(size=SIZE, active=ACTIVE, alpha=ALPHA, divide_alpha=True, gamma=GAMMA, lambda_=LAMBDA)
+    ours = TrueOnlineTD(size=SIZE, active=ACTIVE, alpha=ALPHA, gamma=GAMMA, lambda_=LAMBDA)
+    swift = SwiftTD(size=SIZE, active=ACTIVE, alpha=ALPHA, gamma=GAMMA, lambda_=LAMBDA)
     kinds: dict[str, Callable[[Transition], object]] = {
         "ours": ours.update, "dense": dense_td(), "indexed": indexed_td(), "SwiftTD": swift.update,
     }  # fmt: skip

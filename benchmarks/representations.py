@@ -134,7 +134,7 @@ def score(data: Stream, coded: Sequence[FeatureVector], encoding: float, learner
 
 def learners(coder: FeatureCoder) -> dict[str, list[Learner]]:
     """Return, by name, every learner that is tried."""
-    common = {"size": coder.size, "active": coder.active, "divide_alpha": True, "gamma": GAMMA}
+    common = {"size": coder.size, "active": coder.active, "gamma": GAMMA}
     return {
         "true online TD(λ)": [
             TrueOnlineTD(alpha=alpha, lambda_=lambda_, **common)  # type: ignore[arg-type]

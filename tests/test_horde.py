@@ -86,7 +86,7 @@ def test_each_demon_learns_what_a_learner_of_its_own_does(compiled: bool) -> Non
             made = horde(*declared)
     alone = [
         TrueOnlineTD(
-            size=CODER.size, active=CODER.active, alpha=0.1, divide_alpha=True,
+            size=CODER.size, active=CODER.active, alpha=0.1,
             gamma=demon.continuation.gamma, lambda_=demon.method.lambda_,
         )
         for demon in made.demons
@@ -123,7 +123,7 @@ def test_a_demon_of_ones_own_has_any_cumulant_and_continuation() -> None:
 
 def test_a_demon_may_adapt_its_step_sizes() -> None:
     made = horde(Demons(signals=("shoulder_load",), learner="swift_td", alpha=0.01, divide_alpha=False))
-    alone = SwiftTD(size=CODER.size, active=CODER.active, alpha=0.01)
+    alone = SwiftTD(size=CODER.size, active=CODER.active, alpha=0.01, divide_alpha=False)
     for t in transitions(200, length=70):
         made.update(t)
         reward = (1.0 - 0.9) * float(t.next_state[1])

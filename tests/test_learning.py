@@ -207,11 +207,11 @@ def test_a_decay_out_of_range_is_refused(lambda_: float) -> None:
 
 
 @pytest.mark.parametrize("make", [TD, TrueOnlineTD, SwiftTD])
-def test_alpha_is_divided_by_the_number_of_active_features_only_where_it_is_said(make: Callable[..., Any]) -> None:
+def test_alpha_is_divided_by_the_number_of_active_features_unless_it_is_said(make: Callable[..., Any]) -> None:
     active = Transition(one_hot(0, 1, 2, 3), 0, 1.0, 1.0, one_hot(0), 0, 0, True, False)
     learners = [
+        make(size=4, active=4, alpha=0.08, divide_alpha=False),
         make(size=4, active=4, alpha=0.08),
-        make(size=4, active=4, alpha=0.08, divide_alpha=True),
         make(size=4, alpha=0.08),
     ]
     for learner in learners:
@@ -220,8 +220,8 @@ def test_alpha_is_divided_by_the_number_of_active_features_only_where_it_is_said
     assert moved[1] == pytest.approx(0.02)
     whole = 0.1 / 4 if make is SwiftTD else 0.08  # SwiftTD bounds the sum of all four
     assert moved[0] == moved[2] == pytest.approx(whole)
-    with pytest.raises(SpecError, match="give active"):
-        make(size=4, divide_alpha=True)
+    with pytest.raises(SpecError, match="active is 0"):
+        make(size=4, active=0)
 
 
 def test_gamma_may_be_said_for_each_second() -> None:

@@ -116,6 +116,19 @@ def test_the_fast_form_predicts_as_the_plain_one_does(world: World, precision: P
             assert_alike(fast.weights, plain.weights, tolerance)
 
 
+def test_predictions_stay_the_same_over_100_000_steps() -> None:
+    world = World(size=30, active=5, ending=0.001, lambda_=0.95)
+    plain, exact = both(world, demons=3)
+    _, short = both(world, demons=3, precision="float32")
+    largest = 1e-3
+    for step in world.steps(100_000, seed=6):
+        for group in (plain, exact, short):
+            learn(group, step)
+        largest = max(largest, float(np.abs(plain.estimate).max()))
+        assert np.abs(exact.estimate - plain.estimate).max() <= 1e-9 * largest
+        assert np.abs(short.estimate - plain.estimate).max() <= 1e-4 * largest
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.integers(0, 10**6), st.integers(1, 8), st.booleans(), st.sampled_from([0.0, 0.5, 0.95, 1.0]),

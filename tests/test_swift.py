@@ -38,7 +38,7 @@ def transitions(experiences: Iterator[Experience]) -> Iterator[Transition]:
 
 def make(form: str, **changed: Any) -> SwiftTD:
     chosen = {"alpha": 0.05, "gamma": 0.9, "lambda_": 0.8, "eta": 0.1, "epsilon": 0.95, "meta_step_size": 0.01}
-    return SwiftTD(size=SIZES[form], active=3, **chosen | changed)
+    return SwiftTD(size=SIZES[form], active=3, divide_alpha=False, **chosen | changed)
 
 
 AUTHORS = {

@@ -58,7 +58,7 @@ def episode(coder: TileCoding, learner: Learner, rng: np.random.Generator) -> in
 def steps(lambda_: float, alpha_times_tilings: float, *, true_online: bool = False) -> NDArray[np.float64]:
     """Return the steps of the episodes, shape (runs, episodes)."""
     make = TrueOnlineSarsa if true_online else partial(Sarsa, trace="replacing")
-    settings = {"alpha": alpha_times_tilings, "divide_alpha": True, "gamma": 1.0, "lambda_": lambda_}
+    settings = {"alpha": alpha_times_tilings, "gamma": 1.0, "lambda_": lambda_}
     return np.array([run(partial(make, **settings), seed) for seed in range(RUNS)])
 
 

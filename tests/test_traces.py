@@ -39,11 +39,11 @@ BY_STATE = {
 
 
 def td(**settings: Any) -> TD:
-    return TD(**{"alpha": 0.1, "divide_alpha": True} | settings)
+    return TD(**{"alpha": 0.1} | settings)
 
 
 def true_online_td(**settings: Any) -> TrueOnlineTD:
-    return TrueOnlineTD(**{"alpha": 0.1, "divide_alpha": True} | settings)
+    return TrueOnlineTD(**{"alpha": 0.1} | settings)
 
 
 def replacing(**settings: Any) -> TD:
@@ -51,23 +51,23 @@ def replacing(**settings: Any) -> TD:
 
 
 def sarsa(**settings: Any) -> Sarsa:
-    return Sarsa(actions=2, divide_alpha=True, **settings)
+    return Sarsa(actions=2, **settings)
 
 
 def true_online_sarsa(**settings: Any) -> TrueOnlineSarsa:
-    return TrueOnlineSarsa(actions=2, divide_alpha=True, **settings)
+    return TrueOnlineSarsa(actions=2, **settings)
 
 
 def q(**settings: Any) -> QLearning:
-    return QLearning(actions=2, divide_alpha=True, **{"lambda_": 0.8} | settings)
+    return QLearning(actions=2, **{"lambda_": 0.8} | settings)
 
 
 def expected_sarsa(**settings: Any) -> ExpectedSarsa:
-    return ExpectedSarsa(actions=2, policy=EpsilonGreedy(), divide_alpha=True, **{"lambda_": 0.8} | settings)
+    return ExpectedSarsa(actions=2, policy=EpsilonGreedy(), **{"lambda_": 0.8} | settings)
 
 
 def swift(**settings: Any) -> SwiftTD:
-    return SwiftTD(**{"alpha": 0.02, "divide_alpha": True, "meta_step_size": 0.01} | settings)
+    return SwiftTD(**{"alpha": 0.02, "meta_step_size": 0.01} | settings)
 
 
 MAKERS: dict[str, Make] = {

@@ -116,6 +116,7 @@ def test_true_online_td_is_the_online_lambda_return_where_gamma_and_lambda_depen
         size=1000 if compiled else SIZE,
         active=SIZE,
         alpha=alpha,
+        divide_alpha=False,
         gamma=lambda t: gammas[t.elapsed],
         lambda_=lambda t: lambdas[t.elapsed],
     )

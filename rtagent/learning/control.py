@@ -1,6 +1,6 @@
 """Control: SARSA(λ), Watkins's Q(λ) and Expected SARSA(λ) over linear features.
 
-`alpha` is the step size of each weight, or of all active ones together (`divide_alpha`); `gamma` the discount each
+`alpha` is the step size of all active features together, unless not `divide_alpha`; `gamma` the discount each
 step, or each second (`gamma_per`); `lambda_` the decay of the traces. In Python, `gamma` and `lambda_` may be
 functions of the transition: their values in the state in which it ends. An update raises `SpecError`, learning
 nothing, where its delta is not finite.
@@ -31,9 +31,9 @@ class Sarsa:
         *,
         size: int,
         actions: int,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.9,
@@ -89,9 +89,9 @@ class QLearning:
         *,
         size: int,
         actions: int,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.0,
@@ -155,9 +155,9 @@ class ExpectedSarsa:
         size: int,
         actions: int,
         policy: Policy,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.0,

@@ -44,7 +44,7 @@ class Horde:
         *,
         size: int,
         state: Mapping[str, Spec],
-        active: int = 0,
+        active: int = 1,
         demons: tuple[Declared, ...] = (Demons(),),
         alpha: float = 0.1,
         divide_alpha: bool = True,
@@ -56,6 +56,7 @@ class Horde:
         self._signals = _Signals(state)
         usual = Method(alpha=alpha, divide_alpha=divide_alpha, lambda_=lambda_)
         self.demons = _expanded(demons, state, usual)
+        _claim(self.demons, size, precision)
         cumulants = [self._signals.place(demon) for demon in self.demons]
         self._places = _grouped(self.demons)
         self.groups: list[DemonGroup] = []
@@ -185,6 +186,14 @@ def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec], usual: Me
         double = next(name for number, name in enumerate(names) if name in names[:number])
         raise SpecError(f"two demons are called {double!r}: give one of their sets a name.")
     return demons
+
+
+def _claim(demons: Sequence[Demon], size: int, precision: Precision) -> None:
+    count = sum(demon.method.algorithm == "true_online_td" for demon in demons)
+    if count:
+        claim(
+            size * count * np.dtype(precision).itemsize, f"the weights of {count:,} demons over {size:,} features"
+        )
 
 
 def _measured(demons: Sequence[Demon], count: int) -> set[int]:

@@ -37,7 +37,6 @@ from rtagent.learning.shared_trace import (
     same_features,
     save_features,
 )
-from rtagent.memory import claim
 from rtagent.saving import Saved, restore_fields, save_fields
 
 SMALLEST_SCALE = {"float32": 2e-3, "float64": 1e-5}
@@ -248,8 +247,6 @@ class LazyTrace:
 
 def shared_trace(size: int, cumulants: Cumulants, alpha: float, precision: Precision) -> TraceGroup:
     """Return a group in its fast form, or in the plain one where there is no compiler."""
-    itemsize = np.dtype(precision).itemsize
-    claim(size * len(cumulants) * itemsize, f"the weights of {len(cumulants):,} demons over {size:,} features")
     compiled = kernels.load("shared_trace")
     if compiled is None:
         return SharedTrace(size, cumulants, alpha, precision)

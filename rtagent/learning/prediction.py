@@ -14,7 +14,7 @@ from rtagent.saving import Saved
 class TD:
     """TD(λ) (Sutton and Barto, section 12.2): the return of the reward under the behaviour.
 
-    `alpha` is the step size of each weight, or of all active ones together (`divide_alpha`); `gamma` the discount
+    `alpha` is the step size of all active features together, unless not `divide_alpha`; `gamma` the discount
     each step, or each second (`gamma_per`); `lambda_` the decay of the trace. In Python, `gamma` and `lambda_` may
     be functions of the transition: their values in the state in which it ends.
     """
@@ -25,9 +25,9 @@ class TD:
         self,
         *,
         size: int,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.9,

@@ -23,7 +23,7 @@ def step_size(alpha: float, divide_alpha: bool, active: int, name: str = "alpha"
     if not 0 < alpha < math.inf:
         raise SpecError(f"{name} is {alpha}: give a step size above 0.")
     if divide_alpha and active < 1:
-        raise SpecError("divide_alpha needs the number of active features: give active.")
+        raise SpecError(f"active is {active}: give the number of active features, 1 or more.")
     return alpha / active if divide_alpha else alpha
 
 

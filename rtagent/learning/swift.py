@@ -72,7 +72,7 @@ class Swift(Protocol):
 class SwiftTD:
     """SwiftTD: true online TD(λ) with step sizes that adapt, a bound on the rate of learning, and their decay.
 
-    `alpha` is the initial step size of each weight, or of all active ones together (`divide_alpha`). `eta` bounds
+    `alpha` is the initial step size of all active features together, unless not `divide_alpha`. `eta` bounds
     the rate of learning: by which part of its error a step may move a prediction; where it is reached, the step
     sizes of the active features are multiplied by `epsilon`. `meta_step_size` is the step size of their logarithms
     (0: they never change). `gamma`, `gamma_per`, `lambda_` and `initial` as for `TD`.
@@ -84,9 +84,9 @@ class SwiftTD:
         self,
         *,
         size: int,
-        active: int = 0,
-        alpha: float = 0.01,
-        divide_alpha: bool = False,
+        active: int = 1,
+        alpha: float = 0.1,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.9,

@@ -78,7 +78,7 @@ def worth_compiling(rows: int, size: int, active: int) -> bool:
 
 
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
-    """Return the form that is quicker for so many weights and active features (0: unknown, so the dense one)."""
+    """Return the form that is quicker for so many weights and active features (of a table: 1, the dense form)."""
     check_count("size", size)
     check_count("actions", rows)
     linear = kernels.load("linear") if worth_compiling(rows, size, active) else None

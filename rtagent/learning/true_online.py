@@ -20,7 +20,7 @@ from rtagent.saving import Saved
 class TrueOnlineTD:
     """True online TD(λ) (thesis, Algorithm 1): equal to the online λ-return at every step.
 
-    Settings as for `TD`; with c active features `alpha` must stay below about 1 / c.
+    Settings as for `TD`; `alpha` must stay below about 1.
     """
 
     needs_next_action = False
@@ -29,9 +29,9 @@ class TrueOnlineTD:
         self,
         *,
         size: int,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.9,
@@ -91,9 +91,9 @@ class TrueOnlineSarsa:
         *,
         size: int,
         actions: int,
-        active: int = 0,
+        active: int = 1,
         alpha: float = 0.1,
-        divide_alpha: bool = False,
+        divide_alpha: bool = True,
         gamma: Fraction = 0.9,
         gamma_per: GammaPer = "step",
         lambda_: Fraction = 0.9,
