@@ -110,12 +110,13 @@ class Senses:
         return any(device.news(now) for device in self._devices)
 
     async def wait_for_news(self, other: asyncio.Future[None]) -> None:
-        """Wait until there is something new to observe, or `other` is done."""
+        """Wait until there is something new to observe, or `other` is done; at most as long as observing may."""
         watches: set[asyncio.Future[Any]] = {other}
         watches |= {watch for device in self._devices if (watch := device.watch()) is not None}
+        now = self._now()
         events = [event for device in self._devices if (event := device.next_news()) is not None]
-        limit = max(0, min(events) - self._now()) / second if events else None
-        await asyncio.wait(watches, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
+        limit = max(0, min([*events, now + self._timeout]) - now)
+        await asyncio.wait(watches, timeout=limit / second, return_when=asyncio.FIRST_COMPLETED)
 
     async def newest(self) -> dict[str, Sample]:
         """Return the newest sample of every device that has one, also those not observed yet."""

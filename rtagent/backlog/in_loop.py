@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import types
 from collections.abc import Generator
@@ -93,13 +94,17 @@ class InLoop(Inline):
         self._senses, self._urgency = senses, urgency
         self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
         self._recorder = backlog.desk.recorder
+        self._never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def learn(self) -> None:
         """Learn until nothing waits, or the world calls."""
         await self.relieve()
         if len(self.backlog):
             self._senses.watch()
-        while len(self.backlog) and not (self._calm and await self._is_urgent()):
+        while len(self.backlog):
+            if self._calm and await self._is_urgent():
+                await self._wait_while_urgent()
+                break
             if not self._slice:
                 await self._learn_one()
                 continue
@@ -132,6 +137,11 @@ class InLoop(Inline):
         await yield_once()
         await yield_once()
         return self._senses.news()
+
+    async def _wait_while_urgent(self) -> None:
+        """Wait for news where no device paces the cycle: the same again would only fill the queue."""
+        if not self._senses.paced and not self._senses.news():
+            await self._senses.wait_for_news(self._never)
 
     async def _is_urgent(self) -> bool:
         await yield_once()
