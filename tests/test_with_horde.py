@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtagent import Spec
@@ -58,8 +58,8 @@ def stream(count: int, *, length: int = 25) -> list[Transition]:
         terminated, truncated = ends and step % 3 == 0, ends and step % 3 > 0
         made.append(
             Transition(
-                here, action, probability, float(rng.normal()), there, next_action, 10_000_000, terminated, truncated,
-                signals(step), signals(step + 1),
+                here, action, probability, float(rng.normal()), there, next_action, 10_000_000,
+                terminated, truncated, signals(step), signals(step + 1),
             )
         )  # fmt: skip
         here, action = there, next_action
@@ -134,6 +134,7 @@ def test_both_learn_to_the_bit_what_they_learn_apart(name: str, sliced: bool) ->
     assert both.needs_next_action == control.needs_next_action
 
 
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 12), min_size=len(STREAM), max_size=len(STREAM)))
 def test_where_an_update_is_interrupted_changes_nothing(looks: list[int]) -> None:
     whole, sliced = (WithHorde(make_control(), make_horde()) for _ in range(2))

@@ -17,15 +17,15 @@ class Stopping:
     """Stop a joint when its state changes from Normal to Emergency (thesis, Experiment 1).
 
     `signals` are names, `device.sensor`, or patterns such as `"arm.*"`, of further signals for demons to predict.
-    They come after `emergency` in the state, called as for the task `Signals`, and are known once `bind` was
-    called.
+    They come after `emergency` in the state, called as for the task `Signals`; the state is then known once `bind`
+    was called.
     """
 
     actions = ("move", "stop")
 
     def __init__(self, *, joint: str = "joint", signals: tuple[str, ...] = ()) -> None:
         self._joint, self._patterns = joint, signals
-        self.state: Mapping[str, Spec] = {EMERGENCY: Spec.flag()}
+        self.state: Mapping[str, Spec] = {} if signals else {EMERGENCY: Spec.flag()}
         self._readings = Readings(())
         self._commands: tuple[Mapping[str, Command], ...] = tuple(
             {joint: {"motion": action}} for action in (MOVE, STOP)
