@@ -134,6 +134,21 @@ def test_both_learn_to_the_bit_what_they_learn_apart(name: str, sliced: bool) ->
     assert both.needs_next_action == control.needs_next_action
 
 
+@pytest.mark.parametrize("name", CONTROL)
+def test_compiled_control_takes_paired_features_as_its_own(name: str) -> None:
+    """With so many weights control learns by kernels, which see a state with real-valued features."""
+    coder = SelectiveKanerva(state=STATE, prototypes=800, eta=0.02, proximity=True)
+    pairs = PairedCoder(coder, horde_coder())
+    settings = {"size": coder.size, "active": coder.active, "actions": 2}
+    both, alone = WithHorde(CONTROL[name](**settings), make_horde()), CONTROL[name](**settings)
+    seen = [pairs.encode(signals(step)) for step in range(len(STREAM) + 1)]
+    for t, here, there in zip(STREAM, seen, seen[1:], strict=False):
+        t = replace(t, features=here, next_features=there)
+        assert interrupted(both.updating(t), 1, both) == alone.update(replace(t, **plain(t)))
+        assert np.array_equal(both.action_values(there), alone.action_values(FeatureVector(*there)))
+    assert both.control.weights.any()  # type: ignore[attr-defined]
+
+
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, 12), min_size=len(STREAM), max_size=len(STREAM)))
 def test_where_an_update_is_interrupted_changes_nothing(looks: list[int]) -> None:
