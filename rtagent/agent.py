@@ -72,6 +72,11 @@ class Agent:
         return self._acted if self.policy is not None else self._features is not None
 
     @property
+    def newest_features(self) -> FeatureVector | None:
+        """The features of the newest observation (None before the first)."""
+        return self._features
+
+    @property
     def awaits_next_action(self) -> bool:
         """Whether the newest transition is complete only with the next choice."""
         return self._incomplete is not None
@@ -114,7 +119,7 @@ class Agent:
     def _complete(self, next_action: int | None) -> None:
         if self._incomplete is not None:
             self._incomplete.next_action = next_action
-            self._enqueue(self._incomplete)
+            self._enqueue(self._incomplete, self._observed_at)
             self._incomplete = None
 
     def acted(self) -> None:
@@ -125,11 +130,6 @@ class Agent:
             self._complete(chosen.action)
         self._in_force = self.chosen
         self._acted = True
-
-    def learn(self) -> tuple[Transition, float]:
-        """Learn the oldest transition of the queue; return it with its delta. The queue must not be empty."""
-        transition = self.queue.popleft()
-        return transition, self.learner.update(transition)
 
     def _closes(self, outcome: Outcome) -> bool:
         if self.policy is None:
@@ -157,7 +157,7 @@ class Agent:
         if self.learner.needs_next_action and not outcome.terminated:
             self._incomplete = transition
         else:
-            self._enqueue(transition)
+            self._enqueue(transition, time)
         return transition
 
     def _standing_decision(self) -> Decision:
@@ -173,9 +173,10 @@ class Agent:
         transition.terminated, transition.truncated = outcome.terminated, outcome.truncated
         self._reward = 0.0
         if outcome.terminated:
-            self._enqueue(transition)
+            self._enqueue(transition, time)
             self._incomplete = None
 
-    def _enqueue(self, transition: Transition) -> None:
+    def _enqueue(self, transition: Transition, time: int) -> None:
         if self.keeps_transitions:
+            transition.complete_at = time
             self.queue.append(transition)

@@ -80,7 +80,8 @@ class Transition:
 
     `features` and `next_features` are as they were when observed, and so are `state` and `next_state`, the
     signals that they were made from (cumulants and continuations read them); `action` and `next_action` are None in
-    a run that only predicts, `next_action` also where the learner does not need it. `elapsed` is in ns.
+    a run that only predicts, `next_action` also where the learner does not need it. `elapsed` is in ns, and so is
+    `complete_at`, the time of the observation with which it was complete.
     A truncated transition does not end the return: it bootstraps from `next_features`.
     """
 
@@ -95,6 +96,7 @@ class Transition:
     truncated: bool
     state: State = ()
     next_state: State = ()
+    complete_at: int = 0
 
     @property
     def last(self) -> bool:

@@ -5,7 +5,7 @@ Two, because the first cycle of an episode may have nothing to learn yet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rtagent.clock import Clock
 from rtagent.errors import RunStuckError
@@ -22,6 +22,7 @@ class Idling:
         self._devices = devices
         self._synchronous = any(device.device.spec.synchronous for device in devices)
         self._clock, self._episode_time = clock, episode_time
+        self.learning: Callable[[int], int | None] = lambda now: None
 
     def begin(self, now: int) -> None:
         """Begin an episode at `now` (ns)."""
@@ -54,5 +55,5 @@ class Idling:
             )
 
     def _next_event(self, now: int) -> int | None:
-        events = [device.next_event(now) for device in self._devices] + [self._ends]
+        events = [device.next_event(now) for device in self._devices] + [self._ends, self.learning(now)]
         return min((event for event in events if event is not None and event > now), default=None)

@@ -21,7 +21,7 @@ from rtagent.errors import DeviceError, RtagentError, RunStuckError, ScheduleErr
 from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
 from rtagent.recorder import Fault, Recorder
-from rtagent.result import Result, RunError
+from rtagent.result import LEARNING, Result, RunError
 from rtagent.runtime import Limits, Runtime, agent_prologue
 from rtagent.schedule import Schedule
 from rtagent.streams import stream
@@ -110,6 +110,7 @@ class _Life:
             for name, device in devices.items()
         }
         self._agents: list[Agent] = []
+        self._running: Runtime | None = None
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
@@ -123,7 +124,7 @@ class _Life:
             with _signals() as signalled:
                 end = await self._until_end(work, signalled)
                 await self._make_safe()
-                self._drain(end)
+                await self._drain(end)
         except asyncio.CancelledError:
             work.cancel()
             await self._make_safe()
@@ -138,10 +139,12 @@ class _Life:
         for trial in range(self._plan.trials):
             agent = self._make_agent(stream(self._plan.seed, "policy", trial)) if trial else self._first_agent
             self._agents.append(agent)
-            runtime = self._runtime(agent, trial)
+            runtime = self._running = self._runtime(agent, trial)
             for episode in range(self._plan.episodes):
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
+            if trial < self._plan.trials - 1:
+                await runtime.work.drain(None)
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
         return Runtime(
@@ -156,6 +159,7 @@ class _Life:
             costs=self._costs,
             costs_rng=stream(self._plan.seed, "costs", trial),
             limits=self._plan.limits,
+            learning_failed=self._learning_failed,
         )
 
     async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:
@@ -188,16 +192,21 @@ class _Life:
         devices = list(self._devices.values())
         self._not_safe = await make_all_safe(devices) + await close_all(devices)
 
-    def _drain(self, end: _End | None) -> None:
+    async def _drain(self, end: _End | None) -> None:
         """Learn what is still in the queue: all on a normal end, else for a bounded time."""
-        if not self._agents:
+        if self._running is None:
             return
-        agent = self._agents[-1]
-        deadline = self._clock.now() + self._plan.drain
         may_learn = end is None or end.source != "run"
-        while agent.queue and may_learn and (end is None or self._clock.now() < deadline):
-            agent.learn()
-        self._recorder.counters["transitions_not_learned"] += len(agent.queue)
+        bounded = self._clock.now() + (self._plan.drain if may_learn else 0)
+        await self._running.work.drain(None if end is None else bounded)
+        self._running.work.close()
+
+    def _learning_failed(self, error: Exception) -> None:
+        """Note that learning is over; the run goes on with the weights it has."""
+        message = f"learning raised {_sentence(error)}; the run went on with the weights that it had"
+        now, trace = self._clock.now(), "".join(traceback.format_exception(error))
+        self._recorder.fault(Fault(now - self._began, LEARNING, message, False, trace))
+        self._hooks.call("fault", LEARNING, message, now)
 
     def _conclude(self, end: _End | None) -> Result:
         self._recorder.counters["instruments_removed"] += len(self._hooks.removed)
@@ -208,6 +217,7 @@ class _Life:
         if end is not None:
             now = self._clock.now() - self._began
             self._recorder.fault(Fault(now, end.source, end.message, True, end.trace()))
+        self._recorder.elapsed = self._clock.now() - self._began
         result = Result(
             self._plan.seed,
             "virtual" if self._clock.virtual else "real",

@@ -55,6 +55,10 @@ class Recorder:
         self.components = {component: Series() for component in Component}
         self.sample_age = Series()
         self.queue_length = Series()
+        self.queue_age = Series()
+        self.slices = Series()
+        self.learning_time = 0
+        self.elapsed = 0
         self.episodes: list[EpisodeRecord] = []
         self.faults: list[Fault] = []
         self.counters: Counter[str] = Counter()

@@ -13,7 +13,12 @@ from rtagent.learning import Verified
 from rtagent.learning.returns import PredictionErrors
 from rtagent.recorder import EpisodeRecord, Fault, Recorder
 from rtagent.schedule import Schedule
+from rtagent.series import Series
 from rtagent.summary import Summary
+
+HOW_LEARNED = ("learned_in_place", "learned_deferred", "learned_under_backpressure", "transitions_shed")
+LEARNING = "learning"
+"""The source of faults of learning."""
 
 
 class RunError(RtagentError):
@@ -48,6 +53,12 @@ class Result:
     def faults(self) -> list[Fault]:
         """What failed, each sentence once with its first time."""
         return self.recorder.faults
+
+    @property
+    def learned_all(self) -> bool:
+        """Whether learning neither failed nor left out a transition because its queue was full."""
+        failed = any(fault.source == LEARNING for fault in self.faults)
+        return not failed and not self.recorder.counters["transitions_shed"]
 
     @property
     def reaction_times(self) -> list[int]:
@@ -87,7 +98,7 @@ class Result:
     def components(self) -> dict[str, Summary]:
         """Return the time of each component that ran."""
         return {
-            component.value: Summary.of(series.values(), count=series.count, maximum=series.maximum)
+            component.value: _summary(series)
             for component, series in self.recorder.components.items()
             if series.count
         }
@@ -97,10 +108,18 @@ class Result:
         learner = self.agents[trial].learner
         return learner.errors() if isinstance(learner, Verified) else {}
 
+    def _learning_dict(self) -> dict[str, Any]:
+        recorder = self.recorder
+        return {
+            "oldest_age": _summary(recorder.queue_age).in_seconds(),
+            "slices": _summary(recorder.slices).in_seconds(),
+            "share": recorder.learning_time / recorder.elapsed if recorder.elapsed else 0.0,
+            **{how: recorder.counters[how] for how in HOW_LEARNED},
+        }
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; times are in seconds."""
-        age, queue = self.recorder.sample_age, self.recorder.queue_length
-        queue_summary = Summary.of(queue.values(), count=queue.count, maximum=queue.maximum)
+        queue = _summary(self.recorder.queue_length)
         return {
             "seed": self.seed,
             "clock": self.clock,
@@ -110,8 +129,9 @@ class Result:
             | {"anticipated": self.anticipated},
             "response_time": _with_missed(self.response_time),
             "components": {name: summary.in_seconds() for name, summary in self.components().items()},
-            "sample_age": Summary.of(age.values(), count=age.count, maximum=age.maximum).in_seconds(),
-            "queue_length": {"median": queue_summary.median, "max": queue_summary.maximum},
+            "sample_age": _summary(self.recorder.sample_age).in_seconds(),
+            "queue_length": {"median": queue.median, "max": queue.maximum},
+            "learning": self._learning_dict(),
             "counters": dict(sorted(self.recorder.counters.items())),
             "devices": {name: dict(sorted(counts.items())) for name, counts in self.device_counters.items()},
             "faults": [_fault_dict(fault) for fault in self.faults],
@@ -125,6 +145,10 @@ class Result:
                 for trial, episodes in groupby(self.episodes, key=lambda episode: episode.trial)
             ],
         }
+
+
+def _summary(series: Series) -> Summary:
+    return Summary.of(series.values(), count=series.count, maximum=series.maximum)
 
 
 def _with_missed(summary: Summary) -> dict[str, Any]:

@@ -5,21 +5,22 @@ This is the only module that awaits components.
 
 from __future__ import annotations
 
-import types
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from numpy.random import Generator as RandomGenerator
 
 from rtagent.agent import Agent
+from rtagent.backlog import Backlog, Desk, make_work, yield_once
 from rtagent.clock import Clock
 from rtagent.costs import Costs
 from rtagent.device import Episodic
 from rtagent.errors import ScheduleError
-from rtagent.experience import Outcome
+from rtagent.experience import Outcome, Transition
 from rtagent.guard import NEVER, HangGuard
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
+from rtagent.learn import Where
 from rtagent.pacing import Pacer
 from rtagent.reaction import ReactionTimer
 from rtagent.recorder import EpisodeRecord, Recorder
@@ -28,6 +29,7 @@ from rtagent.senses import Senses
 from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
 from rtagent.units import second
+from rtagent.urgency import Urgency
 
 BEGIN_TIMEOUT = 60 * second
 """Going to the start of an episode may be a slow move of a real arm."""
@@ -65,12 +67,6 @@ def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
     return before
 
 
-@types.coroutine
-def yield_once() -> Generator[None, None, None]:
-    """Let the event loop do whatever is ready (`asyncio.sleep(0)` without its overhead)."""
-    yield
-
-
 class Runtime:
     """One agent with its devices, task and schedule, under the clock of the running loop."""
 
@@ -88,6 +84,7 @@ class Runtime:
         costs: Costs,
         costs_rng: RandomGenerator,
         limits: Limits,
+        learning_failed: Callable[[Exception], None],
     ) -> None:
         self._devices, self._all = devices, tuple(devices.values())
         self._task, self._agent, self._schedule = task, agent, schedule
@@ -97,12 +94,23 @@ class Runtime:
         self._costs, self._costs_rng = (costs if clock.virtual else {}), costs_rng
         self._reactions = ReactionTimer(task.answers)
         self._prologue = agent_prologue(schedule, agent)
-        self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose, LEARN: self._learn}
+        self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose}
         self._senses = Senses(self._all, schedule, clock, recorder)
         self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
-        self._record_queue_length = recorder.queue_length.record
+        self._record_queue_length, self._record_queue_age = recorder.queue_length.record, recorder.queue_age.record
         agent.keeps_transitions = schedule.learns
+        desk = Desk(clock, recorder, self._learning_cost, self._newest, self._learned, learning_failed)
+        self.work = make_work(
+            Backlog(agent, schedule.learn, desk),
+            self._senses,
+            Urgency(schedule.learn, task, agent, self._senses),
+            virtual=clock.virtual,
+        )
+        self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
+        self._components[LEARN] = self.work.learn
+        if self._idling:
+            self._idling.learning = self.work.next_event
 
     # What a chooser can ask (schedule.Situation)
 
@@ -114,12 +122,12 @@ class Runtime:
     @property
     def observed_at(self) -> int:
         """When the newest observation was made, in ns."""
-        return self._episode.ended
+        return self._newest()
 
     @property
     def queue_length(self) -> int:
         """How many transitions wait to be learned."""
-        return len(self._agent.queue)
+        return self.work.length
 
     @property
     def action_pending(self) -> bool:
@@ -176,7 +184,7 @@ class Runtime:
         """Learn what is left; a truncated episode still wants SARSA's A', which is chosen and not acted on."""
         if self._agent.awaits_next_action:
             await self._choose()
-        await self._learn()
+        await self.work.learn()
         self._tell()
         now = self._now()
         unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
@@ -217,12 +225,16 @@ class Runtime:
         self._over = outcome.terminated or outcome.truncated
         self._episode.truncated = outcome.truncated
         self._done(OBSERVE)
-        self._record_queue_length(len(self._agent.queue))
+        waiting = self.work.length
+        self._record_queue_length(waiting)
+        if waiting:
+            self._record_queue_age(self.work.oldest_age(now))
         if "observed" in self._heard:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
-        decision = self._agent.choose()
+        with self.work.weights:
+            decision = self._agent.choose()
         if self._costs:
             await self._charge(CHOOSE)
         self._reactions.chose()
@@ -252,16 +264,26 @@ class Runtime:
                     self._hooks.note("reacted", reaction)
         self._tell()
 
-    async def _learn(self) -> None:
-        while self._agent.queue:
-            transition, delta = self._agent.learn()
-            if self._schedule.learn_delay:
-                await self._clock.compute(self._schedule.learn_delay)
-            if self._costs:
-                await self._charge(LEARN)
+    # What learning asks and tells
+
+    def _newest(self) -> int:
+        """Return when the newest observation was made, in ns."""
+        return self._episode.ended
+
+    def _learning_cost(self) -> int:
+        """Return what the transition that is about to be learned is said to cost, in ns."""
+        cost = self._costs.get(LEARN)
+        return self._schedule.learn_delay + (cost.draw(self._costs_rng) if cost is not None else 0)
+
+    def _learned(self, transition: Transition, delta: float) -> None:
+        start = self._mark
+        if self._in_one_piece:
             end = self._done(LEARN)
-            if "learned" in self._heard:
-                self._hooks.note("learned", transition, delta, end)
+            self._recorder.learning_time += end - start
+        else:
+            end = self._now()
+        if "learned" in self._heard:
+            self._hooks.note("learned", transition, delta, end)
 
     def _done(self, component: Component) -> int:
         """Note that a component has ended; it began where the last one did, or the cycle."""

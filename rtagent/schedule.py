@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from rtagent.errors import ScheduleError
+from rtagent.learn import Learn, When, Where
+from rtagent.units import us
 
 
 class Component(StrEnum):
@@ -25,9 +27,27 @@ class Component(StrEnum):
 ACT, OBSERVE, CHOOSE, LEARN = Component
 Order = tuple[Component, ...]
 
-PRESETS: dict[str, tuple[Order, str]] = {
-    "standard": ((ACT, OBSERVE, CHOOSE, LEARN), "learns before it acts on what it saw (Algorithm 2)"),
-    "reactive": ((OBSERVE, CHOOSE, ACT, LEARN), "acts on what it saw at once, then learns (Algorithm 3)"),
+STANDARD: Order = (ACT, OBSERVE, CHOOSE, LEARN)
+REACTIVE: Order = (OBSERVE, CHOOSE, ACT, LEARN)
+
+
+INLINE = Learn()
+
+
+class Preset(NamedTuple):
+    """An order, a learning rule, and a line on them."""
+
+    order: Order
+    learn: Learn
+    line: str
+
+
+PRESETS: dict[str, Preset] = {
+    "standard": Preset(STANDARD, INLINE, "learns before it acts on what it saw (Algorithm 2)"),
+    "reactive": Preset(REACTIVE, INLINE, "acts on what it saw at once, then learns (Algorithm 3)"),
+    "deferred": Preset(REACTIVE, Learn(when=When.CALM), "learns later what it saw while it was urgent"),
+    "interruptible": Preset(REACTIVE, Learn(slice=100 * us), "learns in slices, and leaves off for news"),
+    "background": Preset(REACTIVE, Learn(where=Where.THREAD), "learns on a thread of its own"),
 }
 
 
@@ -94,6 +114,7 @@ class Schedule:
 
     order: Order
     name: str = "custom"
+    learn: Learn = INLINE
     learn_delay: int = 0
     period: int = 0
     overrun: Overrun = Overrun.SKIP
@@ -106,7 +127,8 @@ class Schedule:
         """Return a preset by its name, with other settings changed; raise `ScheduleError`."""
         if name not in PRESETS:
             raise ScheduleError(f"there is no preset {name!r}: use one of {', '.join(PRESETS)}.")
-        return replace(cls(PRESETS[name][0], name), **settings)  # type: ignore[arg-type]  # keys are checked by replace
+        preset = PRESETS[name]
+        return replace(cls(preset.order, name, preset.learn), **settings)  # type: ignore[arg-type]  # keys are checked by replace
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", parse_order(self.order))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from typing import Any
 
 from rtagent.clock import Clock
-from rtagent.errors import DeviceError
+from rtagent.errors import DeviceError, ScheduleError, did_you_mean
 from rtagent.experience import Observation, Sample, Stimulus
 from rtagent.recorder import Recorder
 from rtagent.schedule import Schedule, Wait
@@ -27,6 +28,8 @@ class Senses:
         self._timeout = schedule.observe_timeout
         self._now, self._record_age = clock.now, recorder.sample_age.record
         self._stimulating = [device for device in devices if device.stimulating]
+        self.paced = self._waits and all(device.device.spec.rate for device in devices)
+        """Whether an observation always waits for a sample that comes by itself."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
@@ -58,7 +61,7 @@ class Senses:
     async def _read_all(self) -> None:
         fresh = False
         for device in self._devices:
-            fresh = await device.read(-1) or fresh
+            fresh = await device.refresh() or fresh
         if self._waits and not fresh:
             deadline = self._now() + self._timeout
             while not await self._wait_for_any(deadline):
@@ -67,21 +70,13 @@ class Senses:
     async def _wait_for_any(self, deadline: int) -> bool:
         """Wait until some device has a new sample, at most until `deadline`; say no where it was not usable."""
         limit = max(deadline - self._now(), 0) / second
-        readings = {
-            asyncio.ensure_future(device.device.read(device.sequence)): device
-            for device in self._devices
-            if not device.failing
-        }
-        if not readings:
+        watches = [watch for device in self._devices if (watch := device.watch()) is not None]
+        if not watches:
             await asyncio.sleep(limit)
             return True
-        done, late = await asyncio.wait(readings, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
-        for reading in late:
-            reading.cancel()
-        if late:
-            await asyncio.wait(late, timeout=limit)
+        await asyncio.wait(watches, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
         seen = sum(device.sequence for device in self._devices)
-        fresh = [readings[reading].take(reading) for reading in done]
+        fresh = [await device.refresh() for device in self._devices if device.watched]
         if any(fresh):
             return True
         if sum(device.sequence for device in self._devices) > seen and self._now() < deadline:
@@ -101,6 +96,43 @@ class Senses:
                 )
             await device.wait(left)
         return device.sample
+
+    # What learning asks, so that it can leave off
+
+    def watch(self) -> None:
+        """Begin to wait for new samples, so that `news` can tell of them."""
+        for device in self._devices:
+            device.watch()
+
+    def news(self) -> bool:
+        """Say whether there is something new to observe."""
+        now = self._now()
+        return any(device.news(now) for device in self._devices)
+
+    async def wait_for_news(self, other: asyncio.Future[None]) -> None:
+        """Wait until there is something new to observe, or `other` is done; at most as long as observing may."""
+        watches: set[asyncio.Future[Any]] = {other}
+        watches |= {watch for device in self._devices if (watch := device.watch()) is not None}
+        now = self._now()
+        events = [event for device in self._devices if (event := device.next_news()) is not None]
+        limit = max(0, min([*events, now + self._timeout]) - now)
+        await asyncio.wait(watches, timeout=limit / second, return_when=asyncio.FIRST_COMPLETED)
+
+    async def newest(self) -> dict[str, Sample]:
+        """Return the newest sample of every device that has one, also those not observed yet."""
+        found = {device.name: await device.newest() for device in self._devices}
+        return {name: sample for name, sample in found.items() if sample is not None}
+
+    def check_sensor(self, signal: str) -> None:
+        """Raise `ScheduleError` unless `signal` is a "device.sensor" that is one number."""
+        known = {
+            f"{device.name}.{sensor}"
+            for device in self._devices
+            for sensor, spec in device.device.spec.sensors.items()
+            if not spec.shape
+        }
+        if signal not in known:
+            raise ScheduleError(f"learn.urgent: there is no signal {signal!r}{did_you_mean(signal, sorted(known))}")
 
     def _new_stimuli(self) -> Sequence[Stimulus]:
         return [stimulus for device in self._stimulating for stimulus in device.new_stimuli()]

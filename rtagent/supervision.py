@@ -96,6 +96,9 @@ class SupervisedDevice:
         self.sample: Sample | None = None
         self.sequence = -1
         self._stimuli_until = 0
+        self.as_of_now = not device.spec.rate
+        self._watching: asyncio.Task[Sample] | None = None
+        self._watch_ends = 0
 
     @property
     def stimulating(self) -> bool:
@@ -108,6 +111,7 @@ class SupervisedDevice:
 
     def begin_episode(self, time: int) -> None:
         """Forget the samples of before `time`, when the device was brought to the start of an episode."""
+        self.stop_watching()
         self.sample = None
         self.sequence = -1
         self._stimuli_until = time - 1
@@ -129,8 +133,83 @@ class SupervisedDevice:
             self._recovered(reads)
         return self._accept(sample)
 
+    # Watching: a reading that waits for the next sample while something else is done
+
+    def watch(self) -> asyncio.Task[Sample] | None:
+        """Begin to wait for a new sample, unless that is going on; return what waits (None: nothing can)."""
+        if self._watching is None and not self.as_of_now and not self.failing:
+            self._watching = asyncio.ensure_future(self.device.read(self.sequence))
+            self._watch_ends = self._clock.now() + self.supervision.timeout
+        return self._watching
+
+    def news(self, now: int) -> bool:
+        """Say whether a new sample has come, or the world has changed, or it is time to try again."""
+        if self._watching is not None:
+            return self._watching.done()
+        event = self.next_news()
+        return event is not None and now >= event
+
+    def next_news(self) -> int | None:
+        """Return when (ns) there will be something new that does not come by itself; None for never, or unknown.
+
+        A device that is read as of now has always something new, unless it is a fake that foresees its changes.
+        """
+        if self.failing:
+            return self._reads.retry_at
+        if not self.as_of_now or self.sample is None:
+            return None
+        if self._foreseeing is not None:
+            return self._foreseeing.next_event(self.sample.arrival_time)
+        return None if self.device.spec.synchronous else self.sample.arrival_time
+
+    async def newest(self) -> Sample | None:
+        """Return the newest sample there is, without taking it as observed unless it is read as of now."""
+        if self.as_of_now:
+            await self.read(-1)
+        elif self._watching is not None and self._watching.done() and self._watching.exception() is None:
+            sample = self._watching.result()
+            return sample if self._valid(sample.values) else self.sample
+        return self.sample
+
+    @property
+    def watched(self) -> bool:
+        """Whether something waits for the next sample, or has found it."""
+        return self._watching is not None
+
+    def stop_watching(self) -> None:
+        """Give up waiting for the next sample."""
+        watching, self._watching = self._watching, None
+        if watching is not None and not watching.cancel() and not watching.cancelled():
+            watching.exception()  # seen: nobody else will ask for it
+
+    def _take_watched(self) -> bool | None:
+        """Take what the watch found; say whether it is new, or None where it still waits or there is none."""
+        watching = self._watching
+        if watching is None or not watching.done():
+            return None
+        self._watching = None
+        return self.take(watching)
+
+    async def refresh(self) -> bool:
+        """Take the newest sample; say whether it is new.
+
+        A watch that goes on for longer than the retry budget is ended: a device that hangs answers no read either.
+        """
+        if self._watching is None or self._give_up_watch():
+            return await self.read(-1)
+        return self._take_watched() or False
+
+    def _give_up_watch(self) -> bool:
+        if self._watching is None or self._watching.done() or self._clock.now() < self._watch_ends:
+            return False
+        self.stop_watching()
+        return True
+
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample; say whether there is one."""
+        if self._watching is not None:
+            await asyncio.wait({self._watching}, timeout=limit / second)
+            return await self.refresh()
         if self._reads.failing_since is not None:
             now = self._clock.now()
             await self._clock.sleep_until(min(max(self._reads.retry_at, now + FIRST_PAUSE), now + limit))
@@ -209,6 +288,7 @@ class SupervisedDevice:
 
     async def make_safe(self) -> None:
         """Make the device safe; raises what it raises."""
+        self.stop_watching()
         self.stop_reopening()
         await self.device.make_safe()
 

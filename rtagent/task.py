@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from rtagent.errors import SpecError
-from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
 from rtagent.specs import DeviceSpec, Spec, Value
 
 
@@ -39,6 +39,14 @@ class Task(Protocol):
 
     def answers(self, action: int, stimulus: Stimulus) -> bool:
         """Say whether `action` is the correct answer to `stimulus` (for the response time)."""
+
+
+@runtime_checkable
+class Urging(Protocol):
+    """A task that says which states are urgent, so that learning waits for calmer ones."""
+
+    def urgent(self, samples: Mapping[str, Sample]) -> bool:
+        """Say whether the world is in an urgent state; `samples` are the newest by the names of their devices."""
 
 
 def require(

@@ -28,7 +28,7 @@ _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]+)*(?:\.[0-9]+)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(\D.*?)?\s*")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """One kind of quantity: its units in terms of the one that is used inside, the first being that one."""
 

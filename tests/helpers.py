@@ -56,6 +56,12 @@ def step(
     return Transition(before, action, 1.0, reward, after, next_action, 0, terminated, truncated)
 
 
+def learn(agent: Agent) -> tuple[Transition, float]:
+    """Learn the oldest transition of an agent's queue."""
+    transition = agent.queue.popleft()
+    return transition, agent.learner.update(transition)
+
+
 class Scripted(Generator):
     """A generator for streams of samples: what each gets is planned, one jitter and four chances."""
 

@@ -6,7 +6,7 @@ from itertools import count, pairwise, product
 
 import numpy as np
 import pytest
-from helpers import REACTIVE, STANDARD, one_hot, rotations
+from helpers import REACTIVE, STANDARD, learn, one_hot, rotations
 from numpy.random import Generator
 
 from rtagent.agent import Agent
@@ -317,7 +317,7 @@ def test_transitions_are_learned_in_their_order_and_each_once() -> None:
         agent.acted()
         see(agent, place, -float(place))
     expected = list(agent.queue)
-    learned = [agent.learn() for _ in range(len(expected))]
+    learned = [learn(agent) for _ in range(len(expected))]
     assert [transition for transition, _ in learned] == expected
     assert [delta for _, delta in learned] == [transition.reward for transition in expected]
     assert not agent.queue
@@ -352,7 +352,7 @@ def follow(order: Order, needs_next_action: bool, cycles: int = 8) -> tuple[list
         elif component is ACT:
             agent.acted()
             acted = True
-    learned = [agent.learn()[0] for _ in range(len(agent.queue))]
+    learned = [learn(agent)[0] for _ in range(len(agent.queue))]
     return learned, total, closed
 
 

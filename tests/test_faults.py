@@ -197,7 +197,7 @@ class Forgetful(Sarsa):
         return super().update(transition)
 
 
-def test_a_learner_that_raises_leaves_the_joint_safe() -> None:
+def test_a_learner_that_raises_ends_learning_and_not_acting() -> None:
     joint, task = stopping_joint(), Stopping()
     good = sarsa_agent(task)
 
@@ -205,9 +205,16 @@ def test_a_learner_that_raises_leaves_the_joint_safe() -> None:
         agent = good(rng)  # type: ignore[arg-type]  # handed through
         return Agent(agent.features, Forgetful(size=2, actions=2), agent.policy, agent.rng)
 
-    with pytest.raises(RunError, match="lost my weights"):
-        run_stopping(joint=joint, task=task, agent=make)
+    result = run_stopping(joint=joint, task=task, agent=make, episodes=8)
     assert is_at_rest(joint)
+    assert len([episode for episode in result.episodes if episode.finished]) == 8
+    assert not result.learned_all
+    (fault,) = result.faults
+    assert fault.source == "learning"
+    assert "lost my weights" in fault.message
+    assert 'raise RuntimeError("lost my weights")' in fault.traceback
+    assert result.recorder.counters["learned_in_place"] == 9
+    assert result.recorder.counters["transitions_not_learned"] == 1, "what came after was not kept"
 
 
 def test_cancelling_a_run_makes_the_joint_safe() -> None:

@@ -12,6 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 import tomli_w
+from helpers import learn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import ROOT, SCENARIOS
@@ -355,7 +356,7 @@ def test_an_agent_encodes_each_observation_once_whether_it_closes_a_step_or_refr
         elif step == "act" and chosen:
             agent.acted()
         elif step == "learn" and agent.queue:
-            agent.learn()
+            learn(agent)
     assert len(coder.seen) == observed
 
 

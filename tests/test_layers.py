@@ -16,13 +16,13 @@ PACKAGE = Path(rtagent.__file__).parent
 DRIVERS = Path(rtagent_drivers.__file__).parent
 
 LAYERS = [
-    {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory"},
+    {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory", "learn"},
     {"features", "learning", "kernels", "policy"},
     {
         "device", "task", "tasks", "clock", "costs", "pacing", "reaction",
         "series", "summary", "recorder", "instruments", "guard",
     },
-    {"agent", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
+    {"agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
 ]  # fmt: skip
 EDGES = len(LAYERS)
 """Whatever is in no other layer is an edge."""

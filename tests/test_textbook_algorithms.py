@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import one_hot
+from helpers import learn, one_hot
 from scipy import integrate, stats
 
 from rtagent import Agent, Outcome, Spec
@@ -68,7 +68,7 @@ def test_sarsa_as_in_algorithm_2() -> None:
         agent.observe(outcome, time)
         if not outcome.terminated:
             agent.choose()
-        deltas.append(agent.learn()[1])
+        deltas.append(learn(agent)[1])
     assert deltas == [4.0, 3.0, -3.0]
     assert learner.weights.tolist() == after_three_steps().tolist()
     assert policy.shown == [[0.0, 0.0], [0.0, 0.0], [2.0, 0.0]], "it learns before it goes on"
@@ -85,7 +85,7 @@ def test_reactive_sarsa_as_in_algorithm_3() -> None:
         if not outcome.terminated:
             agent.choose()
             agent.acted()  # take action A', and only then learn
-        deltas.append(agent.learn()[1])
+        deltas.append(learn(agent)[1])
     assert deltas == [4.0, 3.0, -3.0]
     assert learner.weights.tolist() == after_three_steps().tolist()
     assert policy.shown == [[0.0, 0.0], [0.0, 0.0], [2.0, 0.0]]

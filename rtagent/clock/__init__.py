@@ -9,11 +9,21 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, Literal, Protocol, TypeVar
 
-from rtagent.clock.real import RealClock, real_loop
+from rtagent.clock.real import RealClock, occupy, real_loop
 from rtagent.clock.virtual import START, VirtualClock, VirtualLoop, virtual_loop
 from rtagent.errors import ClockError
 
-__all__ = ["Clock", "ClockName", "RealClock", "VirtualClock", "VirtualLoop", "current", "real_loop", "run"]
+__all__ = [
+    "Clock",
+    "ClockName",
+    "RealClock",
+    "VirtualClock",
+    "VirtualLoop",
+    "current",
+    "occupy",
+    "real_loop",
+    "run",
+]
 
 ClockName = Literal["real", "virtual"]
 T = TypeVar("T")

@@ -81,7 +81,8 @@ def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     schedule = assembly.schedule
     sampled = any(device.spec.rate for device in assembly.devices.values())
     synchronous = any(device.spec.synchronous for device in assembly.devices.values())
-    paced = schedule.period or schedule.learn_delay or (sampled and schedule.observe == "fresh")
+    slowed = schedule.learn_delay and schedule.learn.inline
+    paced = schedule.period or slowed or (sampled and schedule.observe == "fresh")
     if scenario.model.run.clock == "real" and not paced and not synchronous:
         yield "note: nothing paces this loop, so it will keep a core busy; give schedule.period a value."
     if synchronous and not (scenario.model.run.episode_steps or scenario.model.run.episode_time):

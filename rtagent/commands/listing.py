@@ -20,7 +20,7 @@ def list_command(arguments: argparse.Namespace) -> int:
 
 
 def _schedules() -> dict[str, str]:
-    return {name: f"{', '.join(order)}: {line}" for name, (order, line) in PRESETS.items()}
+    return {name: f"{', '.join(preset.order)}: {preset.line}" for name, preset in PRESETS.items()}
 
 
 def _plugins(group: str) -> dict[str, str]:

@@ -44,7 +44,7 @@ def run_command(arguments: argparse.Namespace) -> int:
     if failure is not None:
         _print_failure(failure)
     _write(scenario, result, arguments.json)
-    return 0 if failure is None and not result.not_safe else 1
+    return 0 if failure is None and not result.not_safe and result.learned_all else 1
 
 
 def _check_output(path: str | None) -> None:

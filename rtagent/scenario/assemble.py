@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from rtagent.device import Device, Finite
 from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs, PairedCoder
 from rtagent.features.inputs import matching
+from rtagent.learn import Condition, Learn
 from rtagent.learning import Horde, WithHorde
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
@@ -230,8 +231,19 @@ def _schedule(scenario: Scenario) -> Schedule:
         name: getattr(table, name) for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
     }
     if table.preset is not None:
-        return Schedule.preset(table.preset, **settings)
-    return Schedule(tuple(table.order or ()), **settings)
+        made = Schedule.preset(table.preset, **settings)
+    else:
+        made = Schedule(tuple(table.order or ()), **settings)
+    return replace(made, learn=_learn(scenario, made.learn))
+
+
+def _learn(scenario: Scenario, usual: Learn) -> Learn:
+    """Return the usual learning rule with what the scenario says of it."""
+    table = scenario.model.learn
+    said = {name: getattr(table, name) for name in ("when", "slice", "where", "queue", "full")}
+    given = {name: value for name, value in said.items() if value is not None}
+    urgent = Condition(**table.urgent.model_dump()) if table.urgent else None
+    return replace(usual, urgent=urgent, **given)
 
 
 def _costs(scenario: Scenario) -> Costs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
@@ -9,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 from rtagent.errors import did_you_mean
 from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
+from rtagent.learn import Full, When, Where
 from rtagent.schedule import PRESETS, Component, Overrun, Wait
 from rtagent.units import Duration, ms
 
@@ -53,6 +55,26 @@ class ScheduleTable(Table):
         if (self.preset is None) == (self.order is None):
             raise ValueError("give either preset or order: one of them, not both")
         return self
+
+
+class UrgentTable(Table):
+    """What is urgent: a sensor, or a prediction of a demon, above or below a value."""
+
+    signal: str = Field("", description='a sensor, as "device.sensor"')
+    prediction: str = Field("", description="a demon's name")
+    above: float = Field(inf, description="urgent above this value")
+    below: float = Field(-inf, description="urgent below this value")
+
+
+class LearnTable(Table):
+    """When, in what slices and where learning runs; what is left out is the preset's."""
+
+    when: When | None = Field(None, description="always, or only while nothing is urgent")
+    slice: Duration | None = Field(None, description="learn in slices of this length; 0: in one piece")
+    where: Where | None = Field(None, description="on the event loop, or on a thread")
+    queue: int = Field(1000, ge=1, description="so many transitions may wait")
+    full: Full = Field(Full.BLOCK, description="then the oldest is learned at once, or the newest is shed")
+    urgent: UrgentTable | None = Field(None, description="what is urgent; else the task says so")
 
 
 def _as_table(value: Any) -> Any:
@@ -140,6 +162,7 @@ class ScenarioModel(Table):
     description: str = Field("", description="what it is for")
     run: RunTable = Field(default_factory=RunTable)
     schedule: ScheduleTable
+    learn: LearnTable = Field(default_factory=LearnTable)
     costs: CostsTable = Field(default_factory=CostsTable)
     devices: dict[str, DeviceTable] = Field(min_length=1)
     task: TypedTable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.task import RewardMeter, require
 from rtagent.tasks.sensors import Readings, numbers_sensed, picked
@@ -48,6 +48,11 @@ class Stopping:
         state = (float(values[EMERGENCY]), *self._readings(observation))
         over = bool(values["stopped"] or values["at_end"])
         return Outcome(state, self._reward.since_last(values["reward"]), over)
+
+    def urgent(self, samples: Mapping[str, Sample]) -> bool:
+        """Say that it is urgent from the onset of Emergency until the joint has stopped."""
+        values = samples[self._joint].values
+        return bool(values["emergency"]) and not values["stopped"]
 
     def commands(self, action: int) -> Mapping[str, Command]:
         """Return the motion command of an action."""

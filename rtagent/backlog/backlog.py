@@ -1,0 +1,129 @@
+"""The transitions that wait to be learned: first in, first out, each once."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+from rtagent.agent import Agent
+from rtagent.clock import Clock
+from rtagent.experience import Transition
+from rtagent.learn import Full, Learn
+from rtagent.recorder import Recorder
+
+IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "learned_under_backpressure"
+
+
+@dataclass
+class Desk:
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
+
+    `observed_at` says when the newest observation was made: what was complete with it is learned in place.
+    """
+
+    clock: Clock
+    recorder: Recorder
+    cost: Callable[[], int]
+    observed_at: Callable[[], int]
+    learned: Callable[[Transition, float], None]
+    failed: Callable[[Exception], None]
+
+
+class Update:
+    """A transition being learned: what its cost (ns) says first, then the learner's own work, piece by piece."""
+
+    def __init__(self, learner: Any, transition: Transition, cost: int, sliced: bool) -> None:
+        self.transition, self.cost, self.delta = transition, cost, 0.0
+        self.spent = 0
+        self.suspended = False
+        self._learner = learner
+        self._pieces: Generator[None, None, float] | None = None
+        if sliced and hasattr(learner, "updating"):
+            self._pieces = learner.updating(transition)
+
+    def step(self) -> bool:
+        """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
+        if self._pieces is None:
+            self.delta = self._learner.update(self.transition)
+            return True
+        try:
+            next(self._pieces)
+        except StopIteration as done:
+            self.delta = done.value
+            return True
+        return False
+
+
+class Backlog:
+    """The queue of an agent, the update in progress, and what became of the transitions.
+
+    Learning that raises ends learning: what waits, and what comes, is not learned any more.
+    """
+
+    def __init__(self, agent: Agent, rules: Learn, desk: Desk) -> None:
+        self.queue: deque[Transition] = agent.queue
+        self.rules, self.desk = rules, desk
+        self.current: Update | None = None
+        self.failed = False
+        self._agent, self._counters = agent, desk.recorder.counters
+
+    def __len__(self) -> int:
+        return len(self.queue) + (self.current is not None)
+
+    def begin(self, sliced: bool) -> Update:
+        """Go on with the update in progress, or begin with the oldest transition; there must be one of both."""
+        if self.current is None:
+            self.current = self.take(sliced)
+        return self.current
+
+    def take(self, sliced: bool) -> Update:
+        """Take the oldest transition out of the queue, to learn it."""
+        return Update(self._agent.learner, self.queue.popleft(), self.desk.cost(), sliced)
+
+    def step(self, update: Update) -> bool:
+        """Do a piece of an update; say whether it is over: done, or failed."""
+        try:
+            return update.step()
+        except Exception as error:
+            self.give_up(error)
+            return True
+
+    def end(self, update: Update, how: str = "") -> None:
+        """Note that an update is over; `how` is the counter to count it by (else: whether in place)."""
+        if self.failed:
+            return
+        self.current = None
+        in_place = not update.suspended and update.transition.complete_at >= self.desk.observed_at()
+        self._counters[how or (IN_PLACE if in_place else DEFERRED)] += 1
+        self.desk.learned(update.transition, update.delta)
+
+    def give_up(self, error: Exception) -> None:
+        """End learning, not acting."""
+        self.failed, self.current = True, None
+        self.lost(1 + len(self.queue))
+        self.queue.clear()
+        self._agent.keeps_transitions = False
+        self.desk.failed(error)
+
+    def lost(self, count: int) -> None:
+        """Count transitions that are not learned."""
+        self._counters["transitions_not_learned"] += count
+
+    def shed(self) -> None:
+        """Drop the newest transition; the traces are cut there."""
+        self.queue.pop()
+        self._counters["transitions_shed"] += 1
+        if self.queue and not self.queue[-1].terminated:
+            self.queue[-1].truncated = True
+
+    @property
+    def overfull(self) -> bool:
+        """Whether more waits than may."""
+        return len(self.queue) > self.rules.queue
+
+    @property
+    def sheds(self) -> bool:
+        """Whether what finds the queue full is dropped."""
+        return self.rules.full is Full.SHED

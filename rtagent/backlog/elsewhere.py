@@ -1,0 +1,122 @@
+"""Learning elsewhere than on the event loop: transitions are handed over, and the loop goes on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from rtagent.backlog.backlog import UNDER_PRESSURE, Backlog, Update
+from rtagent.senses import Senses
+from rtagent.units import second
+
+
+class Processor(Protocol):
+    """What learns: it takes transitions from the backlog, the oldest first, and says on the loop when one is over.
+
+    `taken` says how many it took; that and the queue are looked at together only within `gate`. Within `weights`
+    nothing learns.
+    """
+
+    taken: int
+    update: Update | None
+    gate: AbstractContextManager[Any]
+    weights: AbstractContextManager[Any]
+
+    def start(self, backlog: Backlog, over: Callable[[Update, Exception | None], None]) -> None:
+        """Begin to work."""
+
+    def wake(self) -> None:
+        """Say that transitions wait."""
+
+    def next_event(self, now: int) -> int | None:
+        """Return when (ns) it will be done with what it does, where that is known."""
+
+    def close(self) -> None:
+        """End; what it was doing is left where it is."""
+
+
+class Elsewhere:
+    """Learns on another processor."""
+
+    def __init__(self, backlog: Backlog, senses: Senses, processor: Processor) -> None:
+        self.backlog, self._senses, self._processor = backlog, senses, processor
+        self.weights = processor.weights
+        self.next_event = processor.next_event
+        self._queue, self._clock = backlog.queue, backlog.desk.clock
+        self._over = 0
+        self._pressed = False
+        self._progress = asyncio.get_running_loop().create_future()
+        processor.start(backlog, self._end)
+
+    @property
+    def length(self) -> int:
+        """How many transitions wait or are being learned."""
+        with self._processor.gate:
+            return len(self._queue) + self._processor.taken - self._over
+
+    def oldest_age(self, now: int) -> int:
+        """Return for how long (ns) the oldest transition has waited."""
+        with self._processor.gate:
+            update = self._processor.update if self._processor.taken > self._over else None
+            oldest = update.transition if update else self._queue[0] if self._queue else None
+        return now - oldest.complete_at if oldest else 0
+
+    async def learn(self) -> None:
+        """Hand over what waits; where no device paces the cycle, wait until it is learned or something is new."""
+        await self.relieve()
+        if self._queue:
+            self._processor.wake()
+        if not self._senses.paced and self.length:
+            self._senses.watch()
+            while self.length and not self._senses.news():
+                await self._senses.wait_for_news(self._progress)
+
+    async def relieve(self) -> None:
+        """See to it that no more transitions wait than may: drop the newest, or wait for the oldest."""
+        backlog = self.backlog
+        if not backlog.overfull:
+            return
+        if backlog.sheds:
+            with self._processor.gate:
+                if backlog.overfull:
+                    backlog.shed()
+            return
+        self._processor.wake()
+        self._pressed = True
+        while backlog.overfull:
+            await asyncio.wait({self._progress})
+        self._pressed = False
+
+    async def finish(self) -> None:
+        """Learn all that is left."""
+        await self._learn_until(None)
+
+    async def drain(self, deadline: int | None) -> None:
+        """Learn what is left until `deadline` (ns; None: all of it)."""
+        await self._learn_until(deadline)
+        self._processor.close()
+        self.backlog.lost(self.length)
+        self._queue.clear()
+
+    def close(self) -> None:
+        """End learning."""
+        self._processor.close()
+
+    async def _learn_until(self, deadline: int | None) -> None:
+        self._processor.wake()
+        while self.length and (deadline is None or self._clock.now() < deadline):
+            left = None if deadline is None else (deadline - self._clock.now()) / second
+            await asyncio.wait({self._progress}, timeout=left)
+
+    def _end(self, update: Update, error: Exception | None) -> None:
+        """Note, on the loop, that an update is over."""
+        self._over += 1
+        self.backlog.desk.recorder.learning_time += update.spent
+        if error is None:
+            self.backlog.end(update, UNDER_PRESSURE if self._pressed else "")
+        else:
+            self.backlog.give_up(error)
+        progress, self._progress = self._progress, self._progress.get_loop().create_future()
+        progress.set_result(None)

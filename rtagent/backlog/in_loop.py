@@ -1,0 +1,149 @@
+"""Learning on the event loop: in one piece, or in slices with a look at the world after each."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import types
+from collections.abc import Generator
+from typing import Any
+
+from rtagent.backlog.backlog import DEFERRED, UNDER_PRESSURE, Backlog
+from rtagent.learn import When
+from rtagent.senses import Senses
+from rtagent.urgency import Urgency
+
+
+@types.coroutine
+def yield_once() -> Generator[None, None, None]:
+    """Let the event loop do whatever is ready (`asyncio.sleep(0)` without its overhead)."""
+    yield
+
+
+class Inline:
+    """Learns all that waits, whenever the schedule comes to it."""
+
+    def __init__(self, backlog: Backlog) -> None:
+        self.backlog = backlog
+        self.weights: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+        self._queue, self._clock = backlog.queue, backlog.desk.clock
+
+    @property
+    def length(self) -> int:
+        """How many transitions wait or are being learned."""
+        return len(self.backlog)
+
+    def oldest_age(self, now: int) -> int:
+        """Return for how long (ns) the oldest transition has waited."""
+        current = self.backlog.current
+        oldest = current.transition if current else self._queue[0] if self._queue else None
+        return now - oldest.complete_at if oldest else 0
+
+    async def learn(self) -> None:
+        """Learn every transition that waits."""
+        while self._queue:
+            await self._learn_one()
+
+    async def relieve(self) -> None:
+        """See to it that no more transitions wait than may."""
+        backlog = self.backlog
+        while backlog.overfull:
+            if backlog.sheds:
+                backlog.shed()
+            else:
+                await self._learn_one(UNDER_PRESSURE)
+
+    async def finish(self) -> None:
+        """Learn all that is left."""
+        while len(self.backlog):
+            await self._learn_one(DEFERRED)
+
+    async def drain(self, deadline: int | None) -> None:
+        """Learn what is left, without what it is said to cost, until `deadline` (ns; None: all of it)."""
+        backlog = self.backlog
+        while len(backlog) and (deadline is None or self._clock.now() < deadline):
+            update = backlog.begin(sliced=False)
+            while not backlog.step(update):
+                pass
+            backlog.end(update, DEFERRED)
+        backlog.lost(len(backlog))
+        self._queue.clear()
+
+    def next_event(self, now: int) -> int | None:
+        """Return when learning will have got further by itself: never, on the loop."""
+        return None
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
+
+    async def _learn_one(self, how: str = "") -> None:
+        """Learn the oldest transition, in one piece."""
+        update = self.backlog.begin(sliced=False)
+        if update.cost:
+            await self._clock.compute(update.cost)
+        while not self.backlog.step(update):
+            pass
+        self.backlog.end(update, how)
+
+
+class InLoop(Inline):
+    """Learns only while nothing is urgent, or in slices until something new has arrived, or both."""
+
+    def __init__(self, backlog: Backlog, senses: Senses, urgency: Urgency) -> None:
+        super().__init__(backlog)
+        self._senses, self._urgency = senses, urgency
+        self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
+        self._recorder = backlog.desk.recorder
+        self._never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def learn(self) -> None:
+        """Learn until nothing waits, or the world calls."""
+        await self.relieve()
+        if len(self.backlog):
+            self._senses.watch()
+        while len(self.backlog):
+            if self._calm and await self._is_urgent():
+                await self._wait_while_urgent()
+                break
+            if not self._slice:
+                await self._learn_one()
+                continue
+            await self._learn_slice()
+            if await self._something_is_new():
+                break
+        if self.backlog.current is not None:
+            self.backlog.current.suspended = True
+
+    async def _learn_slice(self) -> None:
+        """Learn for the length of a slice; the pieces of an update are cut where its algorithm says."""
+        now, update = self._clock.now, self.backlog.begin(sliced=True)
+        began = now()
+        if update.cost:
+            cost = min(update.cost, self._slice)
+            await self._clock.compute(cost)
+            update.cost -= cost
+        over = False
+        while not over and not update.cost:
+            over = self.backlog.step(update)
+            if now() - began >= self._slice:
+                break
+        self._recorder.slices.record(now() - began)
+        self._recorder.learning_time += now() - began
+        if over:
+            self.backlog.end(update)
+
+    async def _something_is_new(self) -> bool:
+        """Look at the world: one round of the loop to take in what has arrived, one for what waits for it."""
+        await yield_once()
+        await yield_once()
+        return self._senses.news()
+
+    async def _wait_while_urgent(self) -> None:
+        """Wait for news where no device paces the cycle: the same again would only fill the queue."""
+        if not self._senses.paced and not self._senses.news():
+            await self._senses.wait_for_news(self._never)
+
+    async def _is_urgent(self) -> bool:
+        await yield_once()
+        await yield_once()
+        return await self._urgency()

@@ -1,0 +1,55 @@
+"""What the runtime asks of learning, and which kind a learning rule makes."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from rtagent.backlog.backlog import Backlog
+from rtagent.backlog.elsewhere import Elsewhere
+from rtagent.backlog.in_loop import Inline, InLoop
+from rtagent.backlog.processors import LearnerThread, SecondProcessor
+from rtagent.learn import Where
+from rtagent.senses import Senses
+from rtagent.urgency import Urgency
+
+
+class Work(Protocol):
+    """Learns the transitions of an agent, first in, first out, each once."""
+
+    backlog: Backlog
+    weights: AbstractContextManager[Any]
+    """Within it nothing learns: the weights are those of whole pieces of work."""
+
+    @property
+    def length(self) -> int:
+        """How many transitions wait or are being learned."""
+
+    def oldest_age(self, now: int) -> int:
+        """Return for how long (ns) the oldest transition has waited."""
+
+    async def learn(self) -> None:
+        """Learn, as the rule says; the schedule has come to it."""
+
+    async def relieve(self) -> None:
+        """See to it that no more transitions wait than may."""
+
+    async def finish(self) -> None:
+        """Learn all that is left."""
+
+    async def drain(self, deadline: int | None) -> None:
+        """Learn what is left until `deadline` (ns; None: all of it); the rest is counted."""
+
+    def next_event(self, now: int) -> int | None:
+        """Return when (ns) learning will have got further by itself, where that is known."""
+
+    def close(self) -> None:
+        """End learning."""
+
+
+def make_work(backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool) -> Work:
+    """Return what learns by the rules of the backlog."""
+    rules = backlog.rules
+    if rules.where is Where.THREAD:
+        return Elsewhere(backlog, senses, SecondProcessor() if virtual else LearnerThread())
+    return Inline(backlog) if rules.inline else InLoop(backlog, senses, urgency)
