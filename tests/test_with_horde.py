@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Generator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtagent import Spec
+from rtagent import Spec, kernels
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.features import Composed, Inputs, OneHot, PairedCoder, PairedVector, SelectiveKanerva, Tabular, Traced
@@ -167,6 +168,38 @@ def test_control_has_learned_before_the_first_pause() -> None:
         assert np.array_equal(both.action_values(t.features), control.action_values(t.features))
         for _ in work:
             pass
+
+
+def test_one_prediction_is_that_of_all_to_the_bit_at_any_slice() -> None:
+    both = WithHorde(make_control(), make_horde())
+    there: Any = STREAM[7].features
+    for t in STREAM[:60]:
+        for _ in both.updating(t):
+            one_by_one = [both.prediction(name, there) for name in both.names]
+            assert one_by_one == both.horde.predict(there.horde).tolist()
+    with pytest.raises(SpecError, match=r"no demon 'lod γ=0\.5': did you mean 'load γ=0\.5'"):
+        both.prediction("lod γ=0.5", there)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_one_of_many_predictions_is_found_in_the_middle_of_a_fold(compiled: bool) -> None:
+    """Slices so short that folds, and steps, are left at every row and demon."""
+    coder = horde_coder()
+    demons = (Demons(signals=("load",), gammas=(0.5,), bins=70, lambda_=0.5),)
+    with contextlib.nullcontext() if compiled else kernels.plain():
+        horde = Horde(size=coder.size, active=coder.active, state=STATE, demons=demons, measured=0)
+    if compiled:
+        horde.groups[0].learned.slice_bytes = 1  # type: ignore[attr-defined]  # of the compiled form
+    slices = 0
+    for t in STREAM[:80]:
+        features: Any = t.features
+        for _ in horde.updating(replace(t, features=features.horde, next_features=t.next_features.horde)):  # type: ignore[attr-defined]
+            all_of_them = horde.predict(features.horde).tolist()
+            assert [horde.prediction(horde.names[place], features.horde) for place in (0, 31, 32, 70)] == [
+                all_of_them[place] for place in (0, 31, 32, 70)
+            ]
+            slices += 1
+    assert slices > (500 if compiled else 79)
 
 
 class Unsliced:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import replace
 
 from rtagent.errors import SpecError
@@ -34,6 +34,15 @@ class WithHorde:
     def action_values(self, features: FeatureVector) -> FloatArray:
         """Return the estimated return of every action, shape (actions,)."""
         return self.control.action_values(features)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The names of the demons, in their order."""
+        return self.horde.names
+
+    def prediction(self, name: str, features: FeatureVector) -> float:
+        """Return the prediction of the demon of this name; raise `SpecError` where there is none."""
+        return self.horde.prediction(name, _of_horde(features))
 
     def update(self, transition: Transition) -> float:
         """Learn a transition; return the delta of control."""
@@ -70,6 +79,10 @@ class WithHorde:
 
 def _for_horde(t: Transition) -> Transition:
     """Return a transition with the features of the Horde."""
-    if isinstance(t.features, PairedVector) and isinstance(t.next_features, PairedVector):
-        return replace(t, features=t.features.horde, next_features=t.next_features.horde)
+    return replace(t, features=_of_horde(t.features), next_features=_of_horde(t.next_features))
+
+
+def _of_horde(features: FeatureVector) -> FeatureVector:
+    if isinstance(features, PairedVector):
+        return features.horde
     raise SpecError("the features hold none for the Horde: give the agent a PairedCoder.")
