@@ -64,10 +64,6 @@ class DemonGroup:
         predictions: FloatArray = self.learned.predict(self._layer(features))
         return predictions
 
-    def predict_one(self, place: int, features: FeatureVector) -> float:
-        """Return the prediction of one demon."""
-        return self.learned.predict_one(place, self._layer(features))
-
     def check_spans(self) -> None:
         """Raise `SpecError` unless its predictions can be features of others."""
         if not self._normalised:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtagent.errors import SpecError, did_you_mean
+from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, State, Transition
 from rtagent.learning.cumulants import Cumulants, Signal, Within
 from rtagent.learning.demons import Demon, Demons, Method
@@ -71,11 +71,6 @@ class Horde:
             watched = [number for number, place in enumerate(places) if place in measured_places]
             below = [group for group in self.groups if group.set in members[0].on]
             self.groups.append(DemonGroup(members, table, size, active, precision, below, watched, rupee))
-        self._homes = {
-            self.demons[each].name: (group, number)
-            for group, places in zip(self.groups, self._places, strict=True)
-            for number, each in enumerate(places)
-        }
 
     def __len__(self) -> int:
         return len(self.demons)
@@ -98,13 +93,6 @@ class Horde:
     def predict(self, features: FeatureVector) -> FloatArray:
         """Return the prediction of every demon for a state with these features, shape (demons,)."""
         return self._gathered(group.predict(features) for group in self.groups)
-
-    def prediction(self, name: str, features: FeatureVector) -> float:
-        """Return the prediction of the demon of this name; raise `SpecError` where there is none."""
-        if name not in self._homes:
-            raise SpecError(f"there is no demon {name!r}{did_you_mean(name, self.names)}")
-        group, place = self._homes[name]
-        return group.predict_one(place, features)
 
     def update(self, transition: Transition) -> float:
         """Learn from a transition; return the root mean square of the demons' deltas."""

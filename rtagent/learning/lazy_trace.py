@@ -116,14 +116,6 @@ class LazyTrace:
             first = segment.end
         return out
 
-    def predict_one(self, place: int, features: FeatureVector) -> float:
-        """Return the prediction of one demon."""
-        out = np.empty_like(self.estimate)
-        segments = [*self._segments, _Segment(len(out), self._here)]
-        segment = next(segment for segment in segments if place < segment.end)
-        self._predict(features, segment._replace(end=place + 1), out, place)
-        return float(out[place])
-
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
         features = _writable(step.features)

@@ -31,10 +31,6 @@ class OneByOne:
         """Return the prediction of every demon."""
         return np.array([learner.predict(features) for learner in self._learners])
 
-    def predict_one(self, place: int, features: FeatureVector) -> float:
-        """Return the prediction of one demon."""
-        return float(self._learners[place].predict(features))
-
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, demon by demon."""
         self._cumulants.fill(step.signals, step.scale, self.cumulant)

@@ -60,9 +60,6 @@ class TraceGroup(Protocol):
     def predict(self, features: FeatureVector) -> Vector:
         """Return the prediction of every demon, each from all that it has learned by now."""
 
-    def predict_one(self, place: int, features: FeatureVector) -> float:
-        """Return the prediction of one demon, to the bit as `predict` does, without asking the others."""
-
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, with a yield between slices: each demon has then learned it, or not yet."""
 
@@ -92,10 +89,6 @@ class SharedTrace:
     def predict(self, features: FeatureVector) -> Vector:
         """Return the predictions, shape (demons,)."""
         return _values(self.weights, features)
-
-    def predict_one(self, place: int, features: FeatureVector) -> float:
-        """Return the prediction of one demon."""
-        return float(_values(self.weights[:, place : place + 1], features)[0])
 
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
