@@ -225,7 +225,7 @@ class Runtime:
         self._over = outcome.terminated or outcome.truncated
         self._episode.truncated = outcome.truncated
         self._done(OBSERVE)
-        waiting = self.work.length
+        waiting = len(self._agent.queue) if self._in_one_piece else self.work.length
         self._record_queue_length(waiting)
         if waiting:
             self._record_queue_age(self.work.oldest_age(now))
@@ -233,8 +233,11 @@ class Runtime:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
-        with self.work.weights:
+        if self._in_one_piece:
             decision = self._agent.choose()
+        else:
+            with self.work.weights:
+                decision = self._agent.choose()
         if self._costs:
             await self._charge(CHOOSE)
         self._reactions.chose()

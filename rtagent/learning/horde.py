@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import FeatureVector, FloatArray, State, Transition
 from rtagent.learning.cumulants import Cumulants, Signal, Within
 from rtagent.learning.demons import Demon, Demons, Method
@@ -71,6 +71,11 @@ class Horde:
             watched = [number for number, place in enumerate(places) if place in measured_places]
             below = [group for group in self.groups if group.set in members[0].on]
             self.groups.append(DemonGroup(members, table, size, active, precision, below, watched, rupee))
+        self._by_name = {
+            self.demons[place].name: (group, number)
+            for group, places in zip(self.groups, self._places, strict=True)
+            for number, place in enumerate(places)
+        }
 
     def __len__(self) -> int:
         return len(self.demons)
@@ -93,6 +98,13 @@ class Horde:
     def predict(self, features: FeatureVector) -> FloatArray:
         """Return the prediction of every demon for a state with these features, shape (demons,)."""
         return self._gathered(group.predict(features) for group in self.groups)
+
+    def prediction(self, name: str, features: FeatureVector) -> float:
+        """Return one prediction for a state with these features; raise `SpecError` where no demon has that name."""
+        if name not in self._by_name:
+            raise SpecError(f"there is no demon {name!r}{did_you_mean(name, list(self._by_name))}")
+        group, place = self._by_name[name]
+        return group.predict_one(features, place)
 
     def update(self, transition: Transition) -> float:
         """Learn from a transition; return the root mean square of the demons' deltas."""
