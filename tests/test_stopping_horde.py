@@ -201,6 +201,15 @@ def test_a_demon_asks_about_a_policy_that_is_not_the_agents(tmp_path: Path) -> N
     assert learner.horde.newest[-1] != 0.0
 
 
+@pytest.mark.parametrize(("bound", "deferred"), [("below = 1000.0", True), ("above = 1000.0", False)])
+def test_a_prediction_says_what_is_urgent(tmp_path: Path, bound: str, deferred: bool) -> None:
+    urgent = f'[learn]\nurgent = {{ prediction = "hand_load γ=0.5/s", {bound} }}\n\n'
+    text = GOOD.replace("[devices.joint]", f"{urgent}[devices.joint]").replace('"interruptible"', '"deferred"')
+    counters = run(load(written(tmp_path, text), SMALL)).recorder.counters
+    learned = counters["learned_in_place"], counters["learned_deferred"]
+    assert [bool(count) for count in learned] == [not deferred, deferred]
+
+
 def test_the_resolved_copy_repeats_the_run_to_the_byte(tmp_path: Path) -> None:
     sets = [word for each in SMALL for word in ("--set", each)]
     first, second = tmp_path / "first.json", tmp_path / "second.json"
