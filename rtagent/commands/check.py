@@ -47,6 +47,8 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"
+    if "horde" in scenario.parts:
+        yield f"beside it a Horde, over {scenario.parts['horde.features'].name} features of its own"
     yield from _explain_memory(assembly.memory)
     yield from _explain_schedule(assembly)
     yield from _warnings(scenario, assembly)

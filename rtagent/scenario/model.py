@@ -142,6 +142,12 @@ class FeaturesTable(TypedTable):
     input: InputTable | None = None
 
 
+class HordeTable(PluginTable):
+    """A Horde beside the learner: its settings, and the features that it learns from."""
+
+    features: FeaturesTable
+
+
 class DeviceTable(PluginTable):
     """A device: its driver, the driver's settings, and how it is supervised."""
 
@@ -162,5 +168,6 @@ class ScenarioModel(Table):
     task: TypedTable
     features: FeaturesTable
     learner: TypedTable
+    horde: HordeTable | None = None
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)
