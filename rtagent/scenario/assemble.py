@@ -19,6 +19,7 @@ from rtagent.features.inputs import matching
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
+from rtagent.realtime import Realtime
 from rtagent.result import Result
 from rtagent.runtime import Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
@@ -45,6 +46,13 @@ class Assembly:
     supervision: dict[str, Supervision]
     memory: dict[str, int]
     """Bytes that an agent takes, by what they are for."""
+    realtime: Realtime
+
+    @property
+    def never_sleeps(self) -> bool:
+        """Whether its loop waits neither for a period nor for the samples of a device."""
+        sampled = any(device.spec.rate for device in self.devices.values())
+        return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
 
     async def run(self, instruments: Iterable[object] = ()) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
@@ -108,7 +116,9 @@ def assemble(scenario: Scenario) -> Assembly:
         name: Supervision(table.supervision.timeout, table.supervision.stale_after)
         for name, table in scenario.model.devices.items()
     }
-    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision, memory)
+    return Assembly(
+        devices, task, make_agent, schedule, before, plan, costs, supervision, memory, _realtime(scenario)
+    )
 
 
 def _refuse_trials(trials: int, size: int) -> None:
@@ -199,6 +209,11 @@ def _schedule(scenario: Scenario) -> Schedule:
     if table.preset is not None:
         return Schedule.preset(table.preset, **settings)
     return Schedule(tuple(table.order or ()), **settings)
+
+
+def _realtime(scenario: Scenario) -> Realtime:
+    table = scenario.model.realtime
+    return Realtime(**{name: getattr(table, name) for name in type(table).model_fields})
 
 
 def _costs(scenario: Scenario) -> Costs:
