@@ -56,9 +56,12 @@ async def events(duration: int) -> list[int]:
     with subprocess.Popen(command, stdout=subprocess.PIPE) as sender:  # noqa: S603, ASYNC220  # our own program
         assert sender.stdout is not None
         try:
-            return await _heard(sender.stdout.fileno())
+            late = await _heard(sender.stdout.fileno())
         finally:
             sender.kill()
+    if not late:
+        raise OSError("the other process sent nothing")
+    return late
 
 
 async def _heard(pipe: int) -> list[int]:

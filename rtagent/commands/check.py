@@ -83,6 +83,8 @@ def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         yield "note: nothing paces this loop, so it will keep a core busy; give schedule.period a value."
     if synchronous and not (scenario.model.run.episode_steps or scenario.model.run.episode_time):
         yield "note: nothing bounds an episode of this synchronous world; give run.episode_steps a value."
+    if real and assembly.never_sleeps and assembly.realtime.priority:
+        yield "note: this loop never sleeps, so it gets no realtime.priority; give schedule.period a value."
     costs = [component.value for component in assembly.costs]
     if costs and real:
         yield f"note: costs ({', '.join(costs)}) are charged under the virtual clock only."

@@ -45,7 +45,11 @@ class Finding:
 def findings() -> Iterator[Finding]:
     """Yield all that is found without measuring."""
     for find in FINDINGS:
-        yield find()
+        try:
+            yield find()
+        except Exception as error:  # one that cannot be looked for must not hide the others
+            name = find.__name__.strip("_").replace("_", " ")
+            yield Finding(name, "unknown").but(error, f"it could not be looked for: {error!r}.", "none is known.")
 
 
 def _python() -> Finding:
