@@ -21,6 +21,7 @@ from rtagent.learning import Horde, WithHorde
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
+from rtagent.realtime import Realtime
 from rtagent.result import Result
 from rtagent.runtime import Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
@@ -49,6 +50,13 @@ class Assembly:
     supervision: dict[str, Supervision]
     memory: dict[str, int]
     """Bytes that an agent takes, by what they are for."""
+    realtime: Realtime
+
+    @property
+    def never_sleeps(self) -> bool:
+        """Whether its loop waits neither for a period nor for the samples of a device."""
+        sampled = any(device.spec.rate for device in self.devices.values())
+        return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
 
     async def run(self, instruments: Iterable[object] = ()) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
@@ -112,7 +120,9 @@ def assemble(scenario: Scenario) -> Assembly:
         name: Supervision(table.supervision.timeout, table.supervision.stale_after)
         for name, table in scenario.model.devices.items()
     }
-    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision, memory)
+    return Assembly(
+        devices, task, make_agent, schedule, before, plan, costs, supervision, memory, _realtime(scenario)
+    )
 
 
 def _refuse_trials(trials: int, size: int) -> None:
@@ -244,6 +254,11 @@ def _learn(scenario: Scenario, usual: Learn) -> Learn:
     given = {name: value for name, value in said.items() if value is not None}
     urgent = Condition(**table.urgent.model_dump()) if table.urgent else None
     return replace(usual, urgent=urgent, **given)
+
+
+def _realtime(scenario: Scenario) -> Realtime:
+    table = scenario.model.realtime
+    return Realtime(**{name: getattr(table, name) for name in type(table).model_fields})
 
 
 def _costs(scenario: Scenario) -> Costs:
