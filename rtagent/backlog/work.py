@@ -51,7 +51,7 @@ class Work(Protocol):
 
 
 def make_work(
-    backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool, on_thread: Callable[[], None]
+    backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool, on_thread: OnThread = None
 ) -> Work:
     """Return what learns by the rules of the backlog; a thread calls `on_thread` when it begins."""
     rules = backlog.rules
