@@ -84,7 +84,7 @@ class Runtime:
         costs: Costs,
         costs_rng: RandomGenerator,
         limits: Limits,
-        learning_failed: Callable[[Exception], None],
+        learning_failed: Callable[[BaseException], None],
     ) -> None:
         self._devices, self._all = devices, tuple(devices.values())
         self._task, self._agent, self._schedule = task, agent, schedule
