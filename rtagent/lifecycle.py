@@ -204,7 +204,7 @@ class _Life:
         await self._running.work.drain(None if end is None else bounded)
         self._running.work.close()
 
-    def _learning_failed(self, error: Exception) -> None:
+    def _learning_failed(self, error: BaseException) -> None:
         """Note that learning is over; the run goes on with the weights it has."""
         message = f"learning raised {_sentence(error)}; the run went on with the weights that it had"
         now, trace = self._clock.now(), "".join(traceback.format_exception(error))

@@ -95,7 +95,7 @@ class Runtime:
         costs: Costs,
         costs_rng: RandomGenerator,
         limits: Limits,
-        learning_failed: Callable[[Exception], None],
+        learning_failed: Callable[[BaseException], None],
         habits: Habits,
     ) -> None:
         self._devices, self._calm = devices, habits.calm

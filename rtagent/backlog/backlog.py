@@ -29,7 +29,7 @@ class Desk:
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
-    failed: Callable[[Exception], None]
+    failed: Callable[[BaseException], None]
 
 
 class Update:
@@ -40,15 +40,16 @@ class Update:
         self.spent = 0
         self.suspended = False
         self._learner = learner
+        self._sliced = sliced and hasattr(learner, "updating")
         self._pieces: Generator[None, None, float] | None = None
-        if sliced and hasattr(learner, "updating"):
-            self._pieces = learner.updating(transition)
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
-        if self._pieces is None:
+        if not self._sliced:
             self.delta = self._learner.update(self.transition)
             return True
+        if self._pieces is None:
+            self._pieces = self._learner.updating(self.transition)
         try:
             next(self._pieces)
         except StopIteration as done:
@@ -101,7 +102,7 @@ class Backlog:
         self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)
 
-    def give_up(self, error: Exception) -> None:
+    def give_up(self, error: BaseException) -> None:
         """End learning, not acting."""
         self.failed, self.current = True, None
         self.lost(1 + len(self.queue))

@@ -57,11 +57,6 @@ class Inline:
             else:
                 await self._learn_one(UNDER_PRESSURE)
 
-    async def finish(self) -> None:
-        """Learn all that is left."""
-        while len(self.backlog):
-            await self._learn_one(DEFERRED)
-
     async def drain(self, deadline: int | None) -> None:
         """Learn what is left, without what it is said to cost, until `deadline` (ns; None: all of it)."""
         backlog = self.backlog
