@@ -9,15 +9,31 @@ from collections.abc import Generator
 from typing import Any
 
 from rtagent.backlog.backlog import DEFERRED, UNDER_PRESSURE, Backlog
+from rtagent.clock import others_ready
 from rtagent.learn import When
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
+
+MOST_ROUNDS = 3
+"""From a byte in a pipe to a sample: its handler, the reading that waited for it, and one more."""
 
 
 @types.coroutine
 def yield_once() -> Generator[None, None, None]:
     """Let the event loop do whatever is ready (`asyncio.sleep(0)` without its overhead)."""
     yield
+
+
+async def look() -> None:
+    """Let the event loop take in what has arrived, and then whatever waited for that.
+
+    What arrives stands behind a task that is ready already: it is gone round again for as long as something is.
+    """
+    await yield_once()
+    for _ in range(MOST_ROUNDS):
+        if not others_ready():
+            return
+        await yield_once()
 
 
 class Inline:
@@ -133,9 +149,8 @@ class InLoop(Inline):
             self.backlog.end(update)
 
     async def _something_is_new(self) -> bool:
-        """Look at the world: one round of the loop to take in what has arrived, one for what waits for it."""
-        await yield_once()
-        await yield_once()
+        """Look at the world."""
+        await look()
         return self._senses.news()
 
     async def _wait_while_urgent(self) -> None:
@@ -144,6 +159,5 @@ class InLoop(Inline):
             await self._senses.wait_for_news(self._never)
 
     async def _is_urgent(self) -> bool:
-        await yield_once()
-        await yield_once()
+        await look()
         return await self._urgency()

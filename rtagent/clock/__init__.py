@@ -21,6 +21,7 @@ __all__ = [
     "VirtualLoop",
     "current",
     "occupy",
+    "others_ready",
     "real_loop",
     "run",
 ]
@@ -52,6 +53,12 @@ def current() -> Clock:
     """Return the clock of the running event loop (any asyncio loop will do)."""
     loop = asyncio.get_running_loop()
     return loop.clock if isinstance(loop, VirtualLoop) else RealClock()
+
+
+def others_ready() -> bool:
+    """Say whether the running event loop has something to do at once (yes, where it does not tell)."""
+    ready = getattr(asyncio.get_running_loop(), "_ready", None)
+    return ready is None or len(ready) > 0
 
 
 def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | None = None) -> T:
