@@ -131,20 +131,20 @@ class InLoop(Inline):
             self.backlog.current.suspended = True
 
     async def _learn_slice(self) -> None:
-        """Learn for the length of a slice; the pieces of an update are cut where its algorithm says."""
+        """Learn for the length of a slice, by what the last piece took; an algorithm says where its pieces end."""
         now, update = self._clock.now, self.backlog.begin(sliced=True)
         began = now()
         if update.cost:
             cost = min(update.cost, self._slice)
             await self._clock.compute(cost)
             update.cost -= cost
-        over = False
+        over, spent = False, now() - began
         while not over and not update.cost:
-            over = self.backlog.step(update)
-            if now() - began >= self._slice:
+            over, before, spent = self.backlog.step(update), spent, now() - began
+            if 2 * spent - before > self._slice:
                 break
-        self._recorder.slices.record(now() - began)
-        self._recorder.learning_time += now() - began
+        self._recorder.slices.record(spent)
+        self._recorder.learning_time += spent
         if over:
             self.backlog.end(update)
 
