@@ -147,6 +147,8 @@ class Runtime:
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
+            elif self.work.called:
+                self.work.called = False
             else:
                 await yield_once()
             self._mark = self._now()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import types
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from rtagent.backlog.backlog import DEFERRED, UNDER_PRESSURE, Backlog
-from rtagent.clock import others_ready
+from rtagent.clock import ready_counter
 from rtagent.learn import When
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
@@ -24,16 +24,17 @@ def yield_once() -> Generator[None, None, None]:
     yield
 
 
-async def look() -> None:
+@types.coroutine
+def look(ready: Callable[[], int]) -> Generator[None, None, None]:
     """Let the event loop take in what has arrived, and then whatever waited for that.
 
-    What arrives stands behind a task that is ready already: it is gone round again for as long as something is.
+    What arrives stands behind a task that is ready already, so it is gone round again while something is `ready`.
     """
-    await yield_once()
+    yield
     for _ in range(MOST_ROUNDS):
-        if not others_ready():
+        if not ready():
             return
-        await yield_once()
+        yield
 
 
 class Inline:
@@ -42,6 +43,7 @@ class Inline:
     def __init__(self, backlog: Backlog) -> None:
         self.backlog = backlog
         self.weights: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+        self.called = False
         self._queue, self._clock = backlog.queue, backlog.desk.clock
 
     @property
@@ -109,7 +111,7 @@ class InLoop(Inline):
         super().__init__(backlog)
         self._senses, self._urgency = senses, urgency
         self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
-        self._recorder = backlog.desk.recorder
+        self._recorder, self._ready = backlog.desk.recorder, ready_counter()
         self._never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def learn(self) -> None:
@@ -125,7 +127,9 @@ class InLoop(Inline):
                 await self._learn_one()
                 continue
             await self._learn_slice()
-            if await self._something_is_new():
+            await look(self._ready)
+            self.called = self._senses.news()
+            if self.called:
                 break
         if self.backlog.current is not None:
             self.backlog.current.suspended = True
@@ -148,16 +152,11 @@ class InLoop(Inline):
         if over:
             self.backlog.end(update)
 
-    async def _something_is_new(self) -> bool:
-        """Look at the world."""
-        await look()
-        return self._senses.news()
-
     async def _wait_while_urgent(self) -> None:
         """Wait for news where no device paces the cycle: the same again would only fill the queue."""
         if not self._senses.paced and not self._senses.news():
             await self._senses.wait_for_news(self._never)
 
     async def _is_urgent(self) -> bool:
-        await look()
+        await look(self._ready)
         return await self._urgency()

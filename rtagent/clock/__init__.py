@@ -21,7 +21,7 @@ __all__ = [
     "VirtualLoop",
     "current",
     "occupy",
-    "others_ready",
+    "ready_counter",
     "real_loop",
     "run",
 ]
@@ -55,10 +55,10 @@ def current() -> Clock:
     return loop.clock if isinstance(loop, VirtualLoop) else RealClock()
 
 
-def others_ready() -> bool:
-    """Say whether the running event loop has something to do at once (yes, where it does not tell)."""
+def ready_counter() -> Callable[[], int]:
+    """Return what counts the callbacks that the running event loop is about to make (1 where it does not tell)."""
     ready = getattr(asyncio.get_running_loop(), "_ready", None)
-    return ready is None or len(ready) > 0
+    return (lambda: 1) if ready is None else ready.__len__
 
 
 def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | None = None) -> T:
