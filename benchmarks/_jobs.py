@@ -18,7 +18,7 @@ import numpy as np
 from _components import STAMP, AnswerTask, PipeDevice
 
 from rtagent import Agent, Limits, Plan, Result, Schedule, Stimulus, Transition, run
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector
 from rtagent.features import Tabular
 from rtagent.learning import Sarsa
 from rtagent.policy import Greedy
@@ -153,7 +153,8 @@ def job() -> Transition:
 @dataclass
 class Block:
     """Some seconds of one agent: its reaction times (ns), the share of the processor that learning had by the
-    run's own account and by the work done, and the result."""
+    run's own account and by the work done, and the result.
+    """
 
     reactions: list[int]
     share: float
