@@ -12,7 +12,7 @@ from rtagent.errors import RtagentError
 from rtagent.learning import Verified
 from rtagent.learning.returns import PredictionErrors
 from rtagent.recorder import EpisodeRecord, Fault, Recorder
-from rtagent.schedule import Schedule
+from rtagent.schedule import Component, Schedule
 from rtagent.series import Series
 from rtagent.summary import Summary
 
@@ -108,12 +108,18 @@ class Result:
         learner = self.agents[trial].learner
         return learner.errors() if isinstance(learner, Verified) else {}
 
+    def _learning_time(self) -> float:
+        """Return how long (ns) was learned: in slices or elsewhere, and in one piece by the mean of those kept."""
+        pieces = self.recorder.components[Component.LEARN]
+        kept = pieces.values()
+        return self.recorder.learning_time + (sum(kept) / len(kept) * pieces.count if kept else 0.0)
+
     def _learning_dict(self) -> dict[str, Any]:
         recorder = self.recorder
         return {
             "oldest_age": _summary(recorder.queue_age).in_seconds(),
             "slices": _summary(recorder.slices).in_seconds(),
-            "share": recorder.learning_time / recorder.elapsed if recorder.elapsed else 0.0,
+            "share": self._learning_time() / recorder.elapsed if recorder.elapsed else 0.0,
             **{how: recorder.counters[how] for how in HOW_LEARNED},
         }
 

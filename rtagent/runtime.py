@@ -98,9 +98,12 @@ class Runtime:
         self._senses = Senses(self._all, schedule, clock, recorder)
         self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
-        self._record_queue_length, self._record_queue_age = recorder.queue_length.record, recorder.queue_age.record
+        self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        desk = Desk(clock, recorder, self._learning_cost, self._newest, self._learned, learning_failed)
+        costs_learning = bool(schedule.learn_delay) or LEARN in self._costs
+        desk = Desk(
+            clock, recorder, costs_learning, self._learning_cost, self._newest, self._learned, learning_failed
+        )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),
             self._senses,
@@ -227,16 +230,19 @@ class Runtime:
         self._over = outcome.terminated or outcome.truncated
         self._episode.truncated = outcome.truncated
         self._done(OBSERVE)
-        waiting = self.work.length
+        waiting = len(self._agent.queue) if self._in_one_piece else self.work.length
         self._record_queue_length(waiting)
         if waiting:
-            self._record_queue_age(self.work.oldest_age(now))
+            self._recorder.queue_age.record(self.work.oldest_age(now))
         if "observed" in self._heard:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
-        with self.work.weights:
+        if self._in_one_piece:
             decision = self._agent.choose()
+        else:
+            with self.work.weights:
+                decision = self._agent.choose()
         if self._costs:
             await self._charge(CHOOSE)
         self._reactions.chose()
@@ -278,12 +284,7 @@ class Runtime:
         return self._schedule.learn_delay + (cost.draw(self._costs_rng) if cost is not None else 0)
 
     def _learned(self, transition: Transition, delta: float) -> None:
-        start = self._mark
-        if self._in_one_piece:
-            end = self._done(LEARN)
-            self._recorder.learning_time += end - start
-        else:
-            end = self._now()
+        end = self._done(LEARN) if self._in_one_piece else self._now()
         if "learned" in self._heard:
             self._hooks.note("learned", transition, delta, end)
 

@@ -121,6 +121,20 @@ def test_a_demon_of_ones_own_has_any_cumulant_and_continuation() -> None:
     assert 10 < made.newest[0] < 80
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_one_prediction_is_that_among_all(compiled: bool) -> None:
+    with contextlib.nullcontext() if compiled else kernels.plain():
+        made = horde(Demons(gammas=(0.5, 0.9)), Demons(signals=("shoulder_load",), learner="td", name="td"))
+    learned(made, 30)
+    there = CODER.encode(signals(7))
+    updating = made.updating(next(transitions(1, begin=30)))
+    for _ in updating:  # also in the middle of an update
+        alone = [made.prediction(name, there) for name in made.names]
+        assert alone == made.predict(there).tolist()
+    with pytest.raises(SpecError, match=r"did you mean .shoulder_load"):
+        made.prediction("shoulder_lod γ=0.5", there)
+
+
 def test_a_demon_may_adapt_its_step_sizes() -> None:
     made = horde(Demons(signals=("shoulder_load",), learner="swift_td", alpha=0.01, divide_alpha=False))
     alone = SwiftTD(size=CODER.size, active=CODER.active, alpha=0.01, divide_alpha=False)

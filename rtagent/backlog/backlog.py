@@ -18,13 +18,14 @@ IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "le
 
 @dataclass
 class Desk:
-    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns, if any), whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
     """
 
     clock: Clock
     recorder: Recorder
+    costs: bool
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
@@ -67,6 +68,7 @@ class Backlog:
         self.rules, self.desk = rules, desk
         self.current: Update | None = None
         self.failed = False
+        self.update = agent.learner.update
         self._agent, self._counters = agent, desk.recorder.counters
 
     def __len__(self) -> int:
@@ -96,7 +98,7 @@ class Backlog:
             return
         self.current = None
         in_place = not update.suspended and update.transition.complete_at >= self.desk.observed_at()
-        self._counters[how or (IN_PLACE if in_place else DEFERRED)] += 1
+        self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)
 
     def give_up(self, error: Exception) -> None:
@@ -107,9 +109,13 @@ class Backlog:
         self._agent.keeps_transitions = False
         self.desk.failed(error)
 
-    def lost(self, count: int) -> None:
+    def count(self, how: str, transitions: int = 1) -> None:
+        """Count how transitions were learned."""
+        self._counters[how] += transitions
+
+    def lost(self, transitions: int) -> None:
         """Count transitions that are not learned."""
-        self._counters["transitions_not_learned"] += count
+        self._counters["transitions_not_learned"] += transitions
 
     def shed(self) -> None:
         """Drop the newest transition; the traces are cut there."""

@@ -64,6 +64,10 @@ class DemonGroup:
         predictions: FloatArray = self.learned.predict(self._layer(features))
         return predictions
 
+    def predict_one(self, features: FeatureVector, place: int) -> float:
+        """Return the prediction of one demon, by its place in the group."""
+        return float(self.learned.predict_some(self._layer(features), place, place + 1)[0])
+
     def check_spans(self) -> None:
         """Raise `SpecError` unless its predictions can be features of others."""
         if not self._normalised:

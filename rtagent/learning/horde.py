@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import FeatureVector, FloatArray, State, Transition
 from rtagent.learning.cumulants import Cumulants, Signal, Within
 from rtagent.learning.demons import Demon, Demons, Method
@@ -32,7 +32,8 @@ class Horde:
     `alpha` (of all active features together, unless `divide_alpha` is false) and `lambda_` are those of every set
     that does not say otherwise. The returns of `measured` demons, evenly spread over those that predict
     values, are waited for and compared with what was predicted; with `rupee` their projected errors are estimated
-    too. Weights are float32 or float64.
+    too. Weights are float32 or float64. `actions` is how many the agent has, where that is known: a policy that
+    demons ask about is then checked.
     A signal outside its declared range is learned from as the end of the range, and counted in `clipped`; raises
     `SpecError` for one that is not a number, before anything is learned.
     """
@@ -45,6 +46,7 @@ class Horde:
         size: int,
         state: Mapping[str, Spec],
         active: int = 1,
+        actions: int | None = None,
         demons: tuple[Declared, ...] = (Demons(),),
         alpha: float = 0.1,
         divide_alpha: bool = True,
@@ -56,6 +58,8 @@ class Horde:
         self._signals = _Signals(state)
         usual = Method(alpha=alpha, divide_alpha=divide_alpha, lambda_=lambda_)
         self.demons = _expanded(demons, state, usual)
+        if actions is not None:
+            _check_policies(self.demons, actions)
         _claim(self.demons, size, precision)
         cumulants = [self._signals.place(demon) for demon in self.demons]
         self._places = _grouped(self.demons)
@@ -67,6 +71,11 @@ class Horde:
             watched = [number for number, place in enumerate(places) if place in measured_places]
             below = [group for group in self.groups if group.set in members[0].on]
             self.groups.append(DemonGroup(members, table, size, active, precision, below, watched, rupee))
+        self._by_name = {
+            self.demons[place].name: (group, number)
+            for group, places in zip(self.groups, self._places, strict=True)
+            for number, place in enumerate(places)
+        }
 
     def __len__(self) -> int:
         return len(self.demons)
@@ -89,6 +98,13 @@ class Horde:
     def predict(self, features: FeatureVector) -> FloatArray:
         """Return the prediction of every demon for a state with these features, shape (demons,)."""
         return self._gathered(group.predict(features) for group in self.groups)
+
+    def prediction(self, name: str, features: FeatureVector) -> float:
+        """Return one prediction for a state with these features; raise `SpecError` where no demon has that name."""
+        if name not in self._by_name:
+            raise SpecError(f"there is no demon {name!r}{did_you_mean(name, list(self._by_name))}")
+        group, place = self._by_name[name]
+        return group.predict_one(features, place)
 
     def update(self, transition: Transition) -> float:
         """Learn from a transition; return the root mean square of the demons' deltas."""
@@ -186,6 +202,22 @@ def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec], usual: Me
         double = next(name for number, name in enumerate(names) if name in names[:number])
         raise SpecError(f"two demons are called {double!r}: give one of their sets a name.")
     return demons
+
+
+def _check_policies(demons: Sequence[Demon], actions: int) -> None:
+    for demon in demons:
+        if demon.policy is None:
+            continue
+        if not actions:
+            raise SpecError(
+                f"demon {demon.name!r} asks about a policy, and this run only predicts, so that nothing is done: "
+                "leave its policy out, or let the agent control and put the demons into [horde]."
+            )
+        if isinstance(demon.policy, Sequence) and len(demon.policy) != actions:
+            raise SpecError(
+                f"demon {demon.name!r} asks about the policy {list(demon.policy)}: "
+                f"give the probability of each of the {actions} actions."
+            )
 
 
 def _claim(demons: Sequence[Demon], size: int, precision: Precision) -> None:

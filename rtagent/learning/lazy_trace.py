@@ -83,7 +83,8 @@ class LazyTrace:
         self.cumulants, self._alpha, self._kernels = cumulants, alpha, compiled
         self.slice_bytes = SLICE_BYTES
         self._smallest, self._least = SMALLEST_SCALE[precision], LEAST_TRACE[precision] * alpha
-        self._table: NDArray[Any] = np.zeros((size, demons), precision)
+        # written to, as np.zeros is not: the first touch of a page, in a run, would take up to milliseconds
+        self._table: NDArray[Any] = np.full((size, demons), 0.0, precision)
         self.total, self.beta, self.offset, self.estimate = np.zeros((4, demons), precision)
         self.delta, self.cumulant = np.zeros((2, demons), precision)
         self._trace: FloatArray = np.zeros(size)
@@ -109,11 +110,18 @@ class LazyTrace:
 
     def predict(self, features: FeatureVector) -> Vector:
         """Return the predictions, shape (demons,)."""
-        out, first = np.empty_like(self.estimate), 0
+        return self.predict_some(features, 0, len(self.estimate))
+
+    def predict_some(self, features: FeatureVector, first: int, end: int) -> Vector:
+        """Return the predictions of the demons from `first` up to `end`."""
+        out = np.empty_like(self.estimate)
+        begin = 0
         for segment in [*self._segments, _Segment(len(out), self._here)]:
-            self._predict(features, segment, out, first)
-            first = segment.end
-        return out
+            low, high = max(first, begin), min(end, segment.end)
+            if low < high:
+                self._predict(_writable(features), segment, out, low, high)
+            begin = max(begin, segment.end)
+        return out[first:end]
 
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
@@ -204,12 +212,12 @@ class LazyTrace:
             rows = features.indices[some], values[some].astype(self.estimate.dtype)
             yield FeatureVector(features.indices[done], values[done]), rows
 
-    def _predict(self, features: FeatureVector, segment: _Segment, out: Vector, first: int) -> None:
+    def _predict(self, features: FeatureVector, segment: _Segment, out: Vector, first: int, end: int) -> None:
         found, of = self._compare(features, segment.active), out.dtype.type
         extra = segment.factor * self._compare(features, segment.extra)[OVERLAP] if segment.factor else 0.0
         self._kernels.predict(
             self._table, self.beta, self.offset, features.indices, self._weights(features), of(found[OVERLAP]),
-            of(found[TRACE_HERE] + extra), out, first, segment.end,
+            of(found[TRACE_HERE] + extra), out, first, end,
         )  # fmt: skip
 
     def _compare(self, here: FeatureVector, there: FeatureVector) -> list[float]:

@@ -31,6 +31,10 @@ class OneByOne:
         """Return the prediction of every demon."""
         return np.array([learner.predict(features) for learner in self._learners])
 
+    def predict_some(self, features: FeatureVector, first: int, end: int) -> Vector:
+        """Return the predictions of the demons from `first` up to `end`."""
+        return np.array([learner.predict(features) for learner in self._learners[first:end]])
+
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, demon by demon."""
         self._cumulants.fill(step.signals, step.scale, self.cumulant)

@@ -60,6 +60,9 @@ class TraceGroup(Protocol):
     def predict(self, features: FeatureVector) -> Vector:
         """Return the prediction of every demon, each from all that it has learned by now."""
 
+    def predict_some(self, features: FeatureVector, first: int, end: int) -> Vector:
+        """Return the predictions of the demons from `first` up to `end`."""
+
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, with a yield between slices: each demon has then learned it, or not yet."""
 
@@ -89,6 +92,10 @@ class SharedTrace:
     def predict(self, features: FeatureVector) -> Vector:
         """Return the predictions, shape (demons,)."""
         return _values(self.weights, features)
+
+    def predict_some(self, features: FeatureVector, first: int, end: int) -> Vector:
+        """Return the predictions of the demons from `first` up to `end`."""
+        return _values(self.weights[:, first:end], features)
 
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, a few demons at a time."""
