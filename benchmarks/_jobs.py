@@ -27,7 +27,7 @@ from rtagent.units import ms, second, us
 SHORTEST, LONGEST = 0.001, 0.003
 """The interval between two events, in seconds: 500 a second in the mean."""
 
-JOB, PIECE = 500 * ms, 50 * us
+JOB, PIECE = 500 * ms, 40 * us
 WARM_UP = 20
 """So many first events of an episode are left out."""
 
@@ -91,7 +91,7 @@ class EventDevice(PipeDevice):
 
 
 class Work:
-    """Pieces of real work without the GIL, each of some 50 µs; `done` counts them."""
+    """Pieces of real work without the GIL, each of some 40 µs; `done` counts them."""
 
     def __init__(self) -> None:
         self._bytes = bytes(1 << 16)

@@ -28,8 +28,9 @@ class Senses:
         self._timeout = schedule.observe_timeout
         self._now, self._record_age = clock.now, recorder.sample_age.record
         self._stimulating = [device for device in devices if device.stimulating]
-        self.paced = self._waits and all(device.device.spec.rate for device in devices)
-        """Whether an observation always waits for a sample that comes by itself."""
+        sampled = self._waits and all(device.device.spec.rate for device in devices)
+        self.paced = bool(schedule.period) or sampled
+        """Whether a cycle always waits for its time, or for a sample that comes by itself."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:

@@ -1,0 +1,196 @@
+"""Measures how quickly an agent reacts while it learns.
+
+Events come from another process through a pipe, 500 a second. Learning is jobs of 500 ms, of which one always waits;
+they are cut where the runtime cuts them, at pieces of 40 µs. The agent that does not learn at all runs in between.
+Events are written on one processor and answered on another, where there are two.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import numpy as np
+from _harness import Row, main
+from _jobs import Block, Work, block, events
+from _urgent import PERIOD, TURN, deferred_run, difference_to_inline
+
+from rtagent import Result, Schedule, clock
+from rtagent.learn import Learn, Where
+from rtagent.realtime import Realtime, manners
+from rtagent.scenario import assemble, load
+from rtagent.schedule import ACT, CHOOSE, OBSERVE, PRESETS
+
+SCENARIOS = Path(__file__).parent.parent / "scenarios"
+ROUNDS, SECONDS = 6, 2.0
+RESAMPLED = 500
+PRIORITY = 50
+OBJECTS = 300_000
+
+ROOM = 1_000_000
+"""The transitions of events wait behind the jobs: there is room for all of them."""
+
+FROZEN = Schedule((OBSERVE, CHOOSE, ACT), name="no learning")
+INTERRUPTIBLE = Schedule.preset("interruptible", learn=Learn(slice=PRESETS["interruptible"].learn.slice, queue=ROOM))
+BACKGROUND = Schedule.preset("background", learn=Learn(where=Where.THREAD, queue=ROOM))
+
+Blocks = dict[str, list[Block]]
+
+
+# Events in a pipe, and jobs of learning
+
+
+@contextmanager
+def answered_here() -> Iterator[int]:
+    """Write events on the last processor, and be on the first."""
+    before = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, before[-1:])
+    try:
+        with events() as pipe:
+            os.sched_setaffinity(0, before[:1])
+            yield pipe
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def interleaved(schedules: Sequence[Schedule], realtime: Realtime = Realtime()) -> Blocks:
+    """Run blocks of each schedule, forwards and backwards in turn."""
+    blocks: Blocks = {schedule.name: [] for schedule in schedules}
+    work, sink = Work(), os.open(os.devnull, os.O_WRONLY)
+    with answered_here() as pipe:
+        for turn in range(ROUNDS):
+            for schedule in schedules if turn % 2 else reversed(schedules):
+                with manners(realtime) as granted:
+                    measured = granted.run(block(pipe, sink, work, schedule, SECONDS))
+                for sentence in granted.refused:
+                    print(f"note: {sentence}", file=sys.stderr)
+                blocks[schedule.name].append(measured)
+    os.close(sink)
+    return blocks
+
+
+def quantile(blocks: Sequence[Block], q: float) -> float:
+    """Return a quantile (µs) of all reaction times."""
+    return float(np.quantile(np.concatenate([each.reactions for each in blocks]), q)) / 1e3
+
+
+def interval(blocks: Sequence[Block], base: Sequence[Block], q: float) -> tuple[float, float]:
+    """Return the 95 % interval of the ratio of two quantiles, by drawing rounds anew."""
+    rng = np.random.default_rng(0)
+    drawn = [rng.integers(len(base), size=len(base)) for _ in range(RESAMPLED)]
+    ratios = [quantile([blocks[i] for i in d], q) / quantile([base[i] for i in d], q) for d in drawn]
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def compared(name: str, blocks: Blocks, kind: str, reaches: dict[float, float | None]) -> Iterator[Row]:
+    """Yield quantiles of an agent that learns, and their ratio to those of the agent that does not."""
+    base, these = blocks[FROZEN.name], blocks[kind]
+    for q, reach in reaches.items():
+        yield Row(f"{name}, p{q * 100:g}", quantile(these, q), "µs")
+        low, high = interval(these, base, q)
+        ratio = quantile(these, q) / quantile(base, q)
+        yield Row(f"{name}, p{q * 100:g}, to no learning ({low:.2f} to {high:.2f})", ratio, "×", reach)
+
+
+def baseline(name: str, blocks: Blocks) -> Iterator[Row]:
+    for q in (0.5, 0.99):
+        yield Row(f"{name}, p{q * 100:g}", quantile(blocks[FROZEN.name], q), "µs")
+
+
+def learning_rows() -> Iterator[Row]:
+    blocks = interleaved((FROZEN, INTERRUPTIBLE, BACKGROUND))
+    yield from baseline("no learning", blocks)
+    yield from compared("interruptible", blocks, "interruptible", {0.5: 1.0, 0.99: 1.0})
+    share = mean(each.share for each in blocks["interruptible"])
+    yield Row("interruptible, share of the processor for learning", 100 * share, "%", 85.0, "higher")
+    worked = mean(each.worked for each in blocks["interruptible"])
+    yield Row("interruptible, work done to that of nothing else", 100 * worked, "%")
+    yield from compared("background", blocks, "background", {0.5: 1.2, 0.99: None})
+
+
+def priority_rows() -> Iterator[Row]:
+    blocks = interleaved((FROZEN, BACKGROUND), Realtime(priority=PRIORITY))
+    yield from baseline("no learning, with priority", blocks)
+    yield from compared("background, with priority", blocks, "background", {0.5: 1.2, 0.99: 2.0})
+
+
+# Garbage
+
+
+def garbage_rows() -> Iterator[Row]:
+    heap = [[number] for number in range(OBJECTS)]
+    for name, realtime in {"as it is": Realtime(), "in calm moments": Realtime(gc="calm")}.items():
+        blocks = interleaved((INTERRUPTIBLE,), realtime)["interruptible"]
+        yield Row(f"{len(heap):,} objects, garbage collected {name}, p99.9", quantile(blocks, 0.999), "µs")
+
+
+# Scenarios
+
+
+def result_of(scenario: str, clock_name: clock.ClockName, **settings: object) -> Result:
+    """Run a scenario with other settings; `run__trials=3` is run.trials = 3."""
+    changed = [f"{key.replace('__', '.')}={value}" for key, value in settings.items()]
+    assembly = assemble(load(SCENARIOS / scenario, [f"run.clock={clock_name}", *changed]))
+    return clock.run(assembly.run(), clock_name)
+
+
+def stopping_rows() -> Iterator[Row]:
+    """The median is that of a uniform draw: its own error is 250 ms / √n."""
+    for preset, expected, trials in (("standard", 750, 25), ("reactive", 250, 25)):
+        result = result_of(
+            "stopping.toml", "virtual", schedule__preset=preset, schedule__learn_delay="500ms", run__trials=trials
+        )
+        median = result.reaction_time.median / 1e6
+        yield Row(f"stopping, 500 ms of learning, {preset}, median", median, "ms")
+        yield Row(f"the same, distance to {expected} ms", abs(median - expected), "ms", 50.0)
+    result = result_of(
+        "stopping.toml", "virtual", schedule__preset="interruptible", schedule__learn_delay="500ms", run__trials=2
+    )
+    yield Row(
+        "stopping, 500 ms of learning, interruptible, median", result.reaction_time.median / 1e6, "ms", 0.2
+    )
+
+
+def not_learned(result: Result) -> int:
+    """Return how many transitions were closed and not learned."""
+    counters: dict[str, Any] = result.as_dict()["learning"]
+    learned = sum(count for name, count in counters.items() if name.startswith("learned_"))
+    return sum(episode.steps for episode in result.episodes) - int(learned)
+
+
+def horde_rows() -> Iterator[Row]:
+    for bins in (133, 1338):
+        result = result_of("stopping_horde.toml", "real", horde__demons__0__bins=bins)
+        demons = len(result.agents[0].learner.horde)
+        name = f"stopping, {demons:,} demons"
+        yield Row(f"{name}, p50", result.reaction_time.median / 1e3, "µs")
+        yield Row(f"{name}, p99", result.reaction_time.p99 / 1e3, "µs", 1000.0)
+        yield Row(f"{name}, transitions not learned", not_learned(result), "", 0.0)
+
+
+def deferred_rows() -> Iterator[Row]:
+    result, transitions = clock.run(deferred_run(), "virtual")
+    queue = result.recorder.queue_length
+    bound = TURN / PERIOD + 2
+    yield Row("deferred, urgent half of the time, most that waited", queue.maximum, "", bound)
+    yield Row("deferred, transitions not learned", not_learned(result), "", 0.0)
+    yield Row("deferred, weights, difference to inline", difference_to_inline(result, transitions), "", 0.0)
+
+
+def rows() -> Iterator[Row]:
+    yield from learning_rows()
+    yield from priority_rows()
+    yield from stopping_rows()
+    yield from horde_rows()
+    yield from deferred_rows()
+    yield from garbage_rows()
+
+
+if __name__ == "__main__":
+    sys.exit(main(rows, __doc__))
