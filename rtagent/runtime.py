@@ -50,6 +50,17 @@ class Limits:
         )
 
 
+@dataclass(frozen=True)
+class Habits:
+    """What is called for the sake of time: `calm` between cycles, `place_learner` by the thread of a learner."""
+
+    calm: Callable[[], None] | None = None
+    place_learner: Callable[[], None] | None = None
+
+
+NO_HABITS = Habits()
+
+
 def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
     """Return what runs before the first cycle; raise `ScheduleError` where schedule and agent do not fit."""
     before = prologue(schedule.order, agent.learner.needs_next_action)
@@ -85,8 +96,9 @@ class Runtime:
         costs_rng: RandomGenerator,
         limits: Limits,
         learning_failed: Callable[[Exception], None],
+        habits: Habits,
     ) -> None:
-        self._devices, self._all = devices, tuple(devices.values())
+        self._devices, self._calm = devices, habits.calm
         self._task, self._agent, self._schedule = task, agent, schedule
         self._clock, self._now, self._guard = clock, clock.now, guard
         self._recorder, self._hooks, self._limits = recorder, hooks, limits
@@ -95,8 +107,8 @@ class Runtime:
         self._reactions = ReactionTimer(task.answers)
         self._prologue = agent_prologue(schedule, agent)
         self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose}
-        self._senses = Senses(self._all, schedule, clock, recorder)
-        self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
+        self._senses = Senses(tuple(devices.values()), schedule, clock, recorder)
+        self._idling = Idling(tuple(devices.values()), clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
@@ -109,6 +121,7 @@ class Runtime:
             self._senses,
             Urgency(schedule.learn, task, agent, self._senses),
             virtual=clock.virtual,
+            on_thread=habits.place_learner,
         )
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
         self._components[LEARN] = self.work.learn
@@ -146,7 +159,7 @@ class Runtime:
         for component in self._prologue:
             await self._components[component]()
         chooser = self._schedule.make_chooser()
-        paced = bool(self._schedule.period) or self._idling is not None
+        paced, calm = bool(self._schedule.period) or self._idling is not None, self._calm
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
@@ -161,16 +174,18 @@ class Runtime:
                     break
             if not self._schedule.acts:
                 self._tell()
+            if calm is not None:
+                calm()
         await self._end()
         return self._episode
 
     async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
-        for device in self._all:
+        for device in self._devices.values():
             if isinstance(device.device, Episodic):
                 begun = device.device.begin_episode(rngs[device.name])
                 await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
         now = self._now()
-        for device in self._all:
+        for device in self._devices.values():
             device.begin_episode(now)
         self._task.begin()
         self._agent.begin()
@@ -192,7 +207,7 @@ class Runtime:
         await self.work.learn()
         self._tell()
         now = self._now()
-        unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
+        unseen = [stimulus for device in self._devices.values() for stimulus in device.new_stimuli(until=now)]
         self._reactions.end(unseen)
         self._episode.finished = True
         if self._pacer:

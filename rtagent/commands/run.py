@@ -15,6 +15,7 @@ from rtagent.commands.report import print_report
 from rtagent.errors import RtagentError, ScenarioError
 from rtagent.realtime import Manners, manners
 from rtagent.result import RunError
+from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
 
 
@@ -37,7 +38,8 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     told = _tell_refused(granted.refused)
     result, failure = None, None
     try:
-        result = granted.run(assembly.run([progress] if progress else []))
+        habits = Habits(granted.calm, granted.place_learner)
+        result = granted.run(assembly.run([progress] if progress else [], habits))
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:

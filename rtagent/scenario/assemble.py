@@ -23,7 +23,7 @@ from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
 from rtagent.realtime import Realtime
 from rtagent.result import Result
-from rtagent.runtime import Limits, agent_prologue
+from rtagent.runtime import NO_HABITS, Habits, Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.model import InputTable
 from rtagent.scenario.source import KeyPath
@@ -58,7 +58,7 @@ class Assembly:
         sampled = any(device.spec.rate for device in self.devices.values())
         return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
 
-    async def run(self, instruments: Iterable[object] = ()) -> Result:
+    async def run(self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
         return await run(
             self.devices,
@@ -69,6 +69,7 @@ class Assembly:
             costs=self.costs,
             supervision=self.supervision,
             instruments=instruments,
+            habits=habits,
         )
 
 
