@@ -10,18 +10,21 @@ import zlib
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from statistics import mean, median
 
 import numpy as np
 from _components import STAMP, AnswerTask, PipeDevice
 
-from rtagent import Agent, Limits, Plan, Result, Schedule, Stimulus, Transition, run
+from rtagent import Agent, Limits, Plan, Schedule, Stimulus, Transition, run
 from rtagent.experience import FeatureVector
 from rtagent.features import Tabular
 from rtagent.learning import Sarsa
 from rtagent.policy import Greedy
+from rtagent.reaction import Reaction
+from rtagent.realtime import Realtime
+from rtagent.runtime import Habits
 from rtagent.units import ms, second, us
 
 SHORTEST, LONGEST = 0.001, 0.003
@@ -115,11 +118,14 @@ class Work:
 
 
 class BusySarsa(Sarsa):
-    """Sarsa for which a transition of no state is a job of 500 ms, until the episode has ended."""
+    """Sarsa for which a transition of no state is a job of 500 ms, until the episode has ended.
 
-    def __init__(self, work: Work, *, size: int, actions: int) -> None:
+    The job leaves the action values alone where it is `apart`, as what a Horde learns beside control does.
+    """
+
+    def __init__(self, work: Work, apart: bool, *, size: int, actions: int) -> None:
         super().__init__(size=size, actions=actions)
-        self._work = work
+        self._work, self._apart = work, apart
         self.jobs, self.over = 0, False
 
     def update(self, transition: Transition) -> float:
@@ -129,14 +135,15 @@ class BusySarsa(Sarsa):
             pass
         return 0.0
 
-    def updating(self, transition: Transition) -> Generator[None, None, float]:
+    def updating(self, transition: Transition) -> Generator[bool | None, None, float]:
         if transition.features is not NOWHERE:
             return (yield from super().updating(transition))
+        yield self._apart
         for _ in range(self._work.pieces):
             if self.over:
                 return 0.0
             self._work.piece()
-            yield
+            yield self._apart
         self.jobs += 1
         return 0.0
 
@@ -150,38 +157,67 @@ def job() -> Transition:
     return Transition(NOWHERE, 0, 1.0, 0.0, NOWHERE, 0, 0, False, False)
 
 
+class Log:
+    """Keeps objects of each reaction, as a user's instrument may: garbage collection has more and more to look at."""
+
+    def __init__(self, objects: int) -> None:
+        self._objects = objects
+        self.kept: list[list[list[int]]] = []
+
+    def reacted(self, reaction: Reaction) -> None:
+        """Keep as many objects."""
+        self.kept.append([[number] for number in range(self._objects)])
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way of running the agent.
+
+    `apart`: learning leaves the action values alone; `logged`: so many objects are kept of each reaction.
+    """
+
+    name: str
+    schedule: Schedule
+    realtime: Realtime = field(default_factory=Realtime)
+    apart: bool = True
+    logged: int = 0
+
+
 @dataclass
 class Block:
-    """Some seconds of one agent: its reaction times (ns), the share of the processor that learning had by the
-    run's own account and by the work done, and the result.
+    """Some seconds of one agent: its reaction times (ns), and what learning had of the processor.
+
+    `share` is the part of the time by the run's own account, `worked` by the work that was done.
     """
 
     reactions: list[int]
     share: float
     worked: float
-    result: Result
 
 
-def agent_with_jobs(work: Work, task: AnswerTask, jobs: int) -> Agent:
-    """Return an agent for whose learning so many jobs wait."""
+def agent_with_jobs(work: Work, task: AnswerTask, jobs: int, apart: bool) -> tuple[Agent, BusySarsa]:
+    """Return an agent for whose learning so many jobs wait, and its learner."""
     features = Tabular(state=task.state)
-    learner = BusySarsa(work, size=features.size, actions=len(task.actions))
+    learner = BusySarsa(work, apart, size=features.size, actions=len(task.actions))
     agent = Agent(features, learner, Greedy(), np.random.default_rng(0))
     agent.queue.extend(job() for _ in range(jobs))
-    return agent
+    return agent, learner
 
 
-async def block(pipe: int, sink: int, work: Work, schedule: Schedule, seconds: float) -> Block:
-    """Run an agent for some seconds, with always a job waiting if it learns."""
-    task = AnswerTask()
-    jobs = int(seconds * second / JOB) + 2 if schedule.learns else 0
-    agent = agent_with_jobs(work, task, jobs)
-    before, piece = work.done, work.duration()
+async def block(ends: tuple[int, int], work: Work, variant: Variant, seconds: float, habits: Habits) -> Block:
+    """Run an agent for some seconds, with always a job waiting if it learns; `ends` are its pipe and its sink."""
+    task, learns = AnswerTask(), variant.schedule.learns
+    jobs = int(seconds * second / JOB) + 2 if learns else 0
+    agent, learner = agent_with_jobs(work, task, jobs, variant.apart)
+    instruments = [learner, Log(variant.logged)] if variant.logged else [learner]
     plan = Plan(limits=Limits(episode_time=int(seconds * second)))
-    result = await run({"pipe": EventDevice(pipe, sink)}, task, agent, schedule, plan, instruments=[agent.learner])
-    episode, recorder = result.episodes[0], result.recorder
-    if schedule.learns and agent.learner.jobs >= jobs - 1:
-        raise RuntimeError("the jobs ran out before the episode ended: calibrate again on a quieter machine.")
-    reactions = result.reaction_times[WARM_UP:]
-    worked = (work.done - before) * piece / episode.duration
-    return Block(reactions, recorder.learning_time / recorder.elapsed, worked, result)
+    before, piece = work.done, work.duration()
+    devices = {"pipe": EventDevice(*ends)}
+    result = await run(devices, task, agent, variant.schedule, plan, instruments=instruments, habits=habits)
+    if learns and learner.jobs >= jobs - 1:
+        raise RuntimeError("the jobs ran out before the episode ended: measure again on a quieter machine.")
+    return Block(
+        result.reaction_times[WARM_UP:],
+        result.recorder.learning_time / result.recorder.elapsed,
+        (work.done - before) * piece / result.episodes[0].duration,
+    )

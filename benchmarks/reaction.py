@@ -11,18 +11,20 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
 
 import numpy as np
 from _harness import Row, main
-from _jobs import Block, Work, block, events
+from _jobs import Block, Variant, Work, block, events
 from _urgent import PERIOD, TURN, deferred_run, difference_to_inline
 
 from rtagent import Result, Schedule, clock
 from rtagent.learn import Learn, Where
 from rtagent.realtime import Realtime, manners
+from rtagent.runtime import NO_HABITS, Habits
 from rtagent.scenario import assemble, load
 from rtagent.schedule import ACT, CHOOSE, OBSERVE, PRESETS
 
@@ -30,14 +32,23 @@ SCENARIOS = Path(__file__).parent.parent / "scenarios"
 ROUNDS, SECONDS = 6, 2.0
 RESAMPLED = 500
 PRIORITY = 50
-OBJECTS = 300_000
+OBJECTS, LOGGED = 300_000, 100
 
 ROOM = 1_000_000
 """The transitions of events wait behind the jobs: there is room for all of them."""
 
-FROZEN = Schedule((OBSERVE, CHOOSE, ACT), name="no learning")
-INTERRUPTIBLE = Schedule.preset("interruptible", learn=Learn(slice=PRESETS["interruptible"].learn.slice, queue=ROOM))
-BACKGROUND = Schedule.preset("background", learn=Learn(where=Where.THREAD, queue=ROOM))
+SLICE = PRESETS["interruptible"].learn.slice
+REALTIME = Realtime(priority=PRIORITY)
+
+FROZEN = Variant("no learning", Schedule((OBSERVE, CHOOSE, ACT)))
+INTERRUPTIBLE = Variant("interruptible", Schedule.preset("interruptible", learn=Learn(slice=SLICE, queue=ROOM)))
+BACKGROUND = Variant("background", Schedule.preset("background", learn=Learn(where=Where.THREAD, queue=ROOM)))
+OWN_VALUES = replace(BACKGROUND, name="background, learning the action values", apart=False)
+FROZEN_FIRST = replace(FROZEN, name="no learning, with priority", realtime=REALTIME)
+BACKGROUND_FIRST = replace(BACKGROUND, name="background, with priority", realtime=REALTIME)
+OWN_VALUES_FIRST = replace(OWN_VALUES, name=f"{OWN_VALUES.name}, with priority", realtime=REALTIME)
+HEAPED = replace(INTERRUPTIBLE, name="garbage collected as Python does", logged=LOGGED)
+CALM = replace(HEAPED, name="garbage collected in calm moments", realtime=Realtime(gc="calm"))
 
 Blocks = dict[str, list[Block]]
 
@@ -58,20 +69,25 @@ def answered_here() -> Iterator[int]:
         os.sched_setaffinity(0, before)
 
 
-def interleaved(schedules: Sequence[Schedule], realtime: Realtime = Realtime()) -> Blocks:
-    """Run blocks of each schedule, forwards and backwards in turn."""
-    blocks: Blocks = {schedule.name: [] for schedule in schedules}
+def interleaved(*variants: Variant) -> Blocks:
+    """Run blocks of each variant, forwards and backwards in turn."""
+    blocks: Blocks = {variant.name: [] for variant in variants}
     work, sink = Work(), os.open(os.devnull, os.O_WRONLY)
     with answered_here() as pipe:
         for turn in range(ROUNDS):
-            for schedule in schedules if turn % 2 else reversed(schedules):
-                with manners(realtime) as granted:
-                    measured = granted.run(block(pipe, sink, work, schedule, SECONDS))
-                for sentence in granted.refused:
-                    print(f"note: {sentence}", file=sys.stderr)
-                blocks[schedule.name].append(measured)
+            for variant in variants if turn % 2 else reversed(variants):
+                blocks[variant.name].append(with_manners((pipe, sink), work, variant))
     os.close(sink)
     return blocks
+
+
+def with_manners(ends: tuple[int, int], work: Work, variant: Variant) -> Block:
+    with manners(variant.realtime) as granted:
+        habits = Habits(granted.calm, granted.place_learner) if variant.realtime != Realtime() else NO_HABITS
+        measured = granted.run(block(ends, work, variant, SECONDS, habits))
+    for sentence in granted.refused:
+        print(f"note: {sentence}", file=sys.stderr)
+    return measured
 
 
 def quantile(blocks: Sequence[Block], q: float) -> float:
@@ -88,46 +104,46 @@ def interval(blocks: Sequence[Block], base: Sequence[Block], q: float) -> tuple[
     return float(low), float(high)
 
 
-def compared(name: str, blocks: Blocks, kind: str, reaches: dict[float, float | None]) -> Iterator[Row]:
-    """Yield quantiles of an agent that learns, and their ratio to those of the agent that does not."""
-    base, these = blocks[FROZEN.name], blocks[kind]
-    for q, reach in reaches.items():
-        yield Row(f"{name}, p{q * 100:g}", quantile(these, q), "µs")
-        low, high = interval(these, base, q)
-        ratio = quantile(these, q) / quantile(base, q)
-        yield Row(f"{name}, p{q * 100:g}, to no learning ({low:.2f} to {high:.2f})", ratio, "×", reach)
-
-
-def baseline(name: str, blocks: Blocks) -> Iterator[Row]:
-    for q in (0.5, 0.99):
-        yield Row(f"{name}, p{q * 100:g}", quantile(blocks[FROZEN.name], q), "µs")
+def compared(
+    blocks: Blocks, variant: Variant, base: Variant, p50: float | None = None, p99: float | None = None
+) -> Iterator[Row]:
+    """Yield quantiles of a variant, and their ratios to those of another; the ratios may have reaches."""
+    these, others = blocks[variant.name], blocks[base.name]
+    for name, q, reach in (("p50", 0.5, p50), ("p99", 0.99, p99)):
+        yield Row(f"{variant.name}, {name}", quantile(these, q), "µs")
+        if variant is not base:
+            low, high = interval(these, others, q)
+            ratio = quantile(these, q) / quantile(others, q)
+            yield Row(f"the same, to {base.name} ({low:.2f} to {high:.2f})", ratio, "×", reach)
 
 
 def learning_rows() -> Iterator[Row]:
-    blocks = interleaved((FROZEN, INTERRUPTIBLE, BACKGROUND))
-    yield from baseline("no learning", blocks)
-    yield from compared("interruptible", blocks, "interruptible", {0.5: 1.0, 0.99: 1.0})
-    share = mean(each.share for each in blocks["interruptible"])
-    yield Row("interruptible, share of the processor for learning", 100 * share, "%", 85.0, "higher")
-    worked = mean(each.worked for each in blocks["interruptible"])
-    yield Row("interruptible, work done to that of nothing else", 100 * worked, "%")
-    yield from compared("background", blocks, "background", {0.5: 1.2, 0.99: None})
+    blocks = interleaved(FROZEN, INTERRUPTIBLE, BACKGROUND, OWN_VALUES)
+    yield from compared(blocks, FROZEN, FROZEN)
+    yield from compared(blocks, INTERRUPTIBLE, FROZEN, p50=1.0, p99=1.0)
+    these = blocks[INTERRUPTIBLE.name]
+    share, worked = (
+        100 * mean(parts) for parts in zip(*((each.share, each.worked) for each in these), strict=True)
+    )
+    yield Row("interruptible, share of the processor for learning", share, "%", 85.0, "higher")
+    yield Row("interruptible, work done, to that of nothing else", worked, "%")
+    yield from compared(blocks, BACKGROUND, FROZEN, p50=1.2)
+    yield from compared(blocks, OWN_VALUES, FROZEN)
 
 
 def priority_rows() -> Iterator[Row]:
-    blocks = interleaved((FROZEN, BACKGROUND), Realtime(priority=PRIORITY))
-    yield from baseline("no learning, with priority", blocks)
-    yield from compared("background, with priority", blocks, "background", {0.5: 1.2, 0.99: 2.0})
-
-
-# Garbage
+    blocks = interleaved(FROZEN_FIRST, BACKGROUND_FIRST, OWN_VALUES_FIRST)
+    yield from compared(blocks, FROZEN_FIRST, FROZEN_FIRST)
+    yield from compared(blocks, BACKGROUND_FIRST, FROZEN_FIRST, p50=1.2, p99=2.0)
+    yield from compared(blocks, OWN_VALUES_FIRST, FROZEN_FIRST)
 
 
 def garbage_rows() -> Iterator[Row]:
     heap = [[number] for number in range(OBJECTS)]
-    for name, realtime in {"as it is": Realtime(), "in calm moments": Realtime(gc="calm")}.items():
-        blocks = interleaved((INTERRUPTIBLE,), realtime)["interruptible"]
-        yield Row(f"{len(heap):,} objects, garbage collected {name}, p99.9", quantile(blocks, 0.999), "µs")
+    blocks = interleaved(HEAPED, CALM)
+    for name, these in blocks.items():
+        for q in (0.99, 0.999):
+            yield Row(f"{len(heap):,} objects, {name}, p{100 * q:g}", quantile(these, q), "µs")
 
 
 # Scenarios
@@ -152,9 +168,7 @@ def stopping_rows() -> Iterator[Row]:
     result = result_of(
         "stopping.toml", "virtual", schedule__preset="interruptible", schedule__learn_delay="500ms", run__trials=2
     )
-    yield Row(
-        "stopping, 500 ms of learning, interruptible, median", result.reaction_time.median / 1e6, "ms", 0.2
-    )
+    yield Row("stopping, 500 ms of learning, interruptible, median", result.reaction_time.median / 1e6, "ms", 0.2)
 
 
 def not_learned(result: Result) -> int:

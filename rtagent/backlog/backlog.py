@@ -39,8 +39,10 @@ class Update:
         self.transition, self.cost, self.delta = transition, cost, 0.0
         self.spent = 0
         self.suspended = False
+        self.apart = False
+        """Whether the piece that follows leaves all action values alone."""
         self._learner = learner
-        self._pieces: Generator[None, None, float] | None = None
+        self._pieces: Generator[bool | None, None, float] | None = None
         if sliced and hasattr(learner, "updating"):
             self._pieces = learner.updating(transition)
 
@@ -50,7 +52,7 @@ class Update:
             self.delta = self._learner.update(self.transition)
             return True
         try:
-            next(self._pieces)
+            self.apart = bool(next(self._pieces))
         except StopIteration as done:
             self.delta = done.value
             return True
