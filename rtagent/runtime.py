@@ -163,8 +163,10 @@ class Runtime:
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
-            else:
+            elif self._in_one_piece or not self.work.called:
                 await yield_once()
+            else:  # learning has left off after a round of the loop
+                self.work.called = False
             self._mark = self._now()
             for component in chooser.cycle(self):
                 await self._components[component]()

@@ -208,7 +208,8 @@ class SupervisedDevice:
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample; say whether there is one."""
         if self._watching is not None:
-            await asyncio.wait({self._watching}, timeout=limit / second)
+            if not self._watching.done():
+                await asyncio.wait({self._watching}, timeout=limit / second)
             return await self.refresh()
         if self._reads.failing_since is not None:
             now = self._clock.now()

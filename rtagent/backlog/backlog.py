@@ -39,9 +39,11 @@ class Update:
         self.transition, self.cost, self.delta = transition, cost, 0.0
         self.spent = 0
         self.suspended = False
+        self.apart = False
+        """Whether the piece that follows leaves all action values alone."""
         self._learner = learner
         self._sliced = sliced and hasattr(learner, "updating")
-        self._pieces: Generator[None, None, float] | None = None
+        self._pieces: Generator[bool | None, None, float] | None = None
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
@@ -51,7 +53,7 @@ class Update:
         if self._pieces is None:
             self._pieces = self._learner.updating(self.transition)
         try:
-            next(self._pieces)
+            self.apart = bool(next(self._pieces))
         except StopIteration as done:
             self.delta = done.value
             return True
