@@ -112,9 +112,14 @@ class Runtime:
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        costs_learning = bool(schedule.learn_delay) or LEARN in self._costs
         desk = Desk(
-            clock, recorder, costs_learning, self._learning_cost, self._newest, self._learned, learning_failed
+            clock,
+            recorder,
+            self._learning_cost,
+            self._newest,
+            self._learned,
+            learning_failed,
+            costs=bool(schedule.learn_delay) or LEARN in self._costs,
         )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),

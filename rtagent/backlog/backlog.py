@@ -18,18 +18,19 @@ IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "le
 
 @dataclass
 class Desk:
-    """What learning needs of the run: its clock and recorder, what a transition costs (ns, if any), whom to tell.
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
+    Where nothing `costs` anything, `cost` is always 0.
     """
 
     clock: Clock
     recorder: Recorder
-    costs: bool
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
     failed: Callable[[BaseException], None]
+    costs: bool = True
 
 
 class Update:
