@@ -30,6 +30,8 @@ class Senses:
         self._stimulating = [device for device in devices if device.stimulating]
         self.paced = self._waits and all(device.device.spec.rate for device in devices)
         """Whether an observation always waits for a sample that comes by itself."""
+        self.synchronous = any(device.device.spec.synchronous for device in devices)
+        """Whether something is new only after an act."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
