@@ -103,14 +103,17 @@ class Backlog:
     def give_up(self, error: BaseException) -> None:
         """End learning, not acting."""
         self.failed, self.current = True, None
-        self.lost(1 + len(self.queue))
-        self.queue.clear()
-        self._agent.keeps_transitions = False
+        self._agent.keeps_transitions, self._agent.not_kept = False, 0
+        self.leave(1 + len(self.queue))
         self.desk.failed(error)
 
-    def lost(self, count: int) -> None:
-        """Count transitions that are not learned."""
+    def leave(self, count: int) -> None:
+        """Count transitions that are not learned: so many that wait, and what came after learning had failed."""
+        self.queue.clear()
         self._counters["transitions_not_learned"] += count
+        if self.failed:
+            self._counters["transitions_not_learned"] += self._agent.not_kept
+            self._agent.not_kept = 0
 
     def shed(self) -> None:
         """Drop the newest transition; the traces are cut there."""
