@@ -37,6 +37,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_check(commands)
     _add_list(commands)
+    doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
+    doctor.add_argument("--json", action="store_true", help="print JSON instead")
+    doctor.set_defaults(command=_doctor)
     schema = commands.add_parser("schema", help="print the JSON schema of scenario files, for editors")
     schema.set_defaults(command=_schema)
     return parser
@@ -107,6 +110,12 @@ def _list(arguments: argparse.Namespace) -> int:
     from rtagent.commands.listing import list_command
 
     return list_command(arguments)
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.doctor import doctor_command
+
+    return doctor_command(arguments)
 
 
 def _schema(arguments: argparse.Namespace) -> int:

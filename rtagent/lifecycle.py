@@ -22,7 +22,7 @@ from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import LEARNING, Result, RunError
-from rtagent.runtime import Limits, Runtime, agent_prologue
+from rtagent.runtime import NO_HABITS, Habits, Limits, Runtime, agent_prologue
 from rtagent.schedule import Schedule
 from rtagent.streams import stream
 from rtagent.supervision import SupervisedDevice, Supervision, close_all, make_all_safe
@@ -59,6 +59,7 @@ async def run(
     costs: Costs | None = None,
     supervision: Mapping[str, Supervision] | None = None,
     instruments: Iterable[object] = (),
+    habits: Habits = NO_HABITS,
 ) -> Result:
     """Run a whole plan under the clock of the running event loop, and return what it came to.
 
@@ -67,7 +68,7 @@ async def run(
     when a device died, something raised, or a signal came; `ScheduleError`, `SpecError` or `RunStuckError`
     before anything is opened when the parts do not fit. In every case the devices have been made safe.
     """
-    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision or {}, Hooks(instruments))
+    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision or {}, Hooks(instruments), habits)
     return await life.live()
 
 
@@ -96,9 +97,10 @@ class _Life:
         costs: Costs,
         supervision: Mapping[str, Supervision],
         hooks: Hooks,
+        habits: Habits,
     ) -> None:
         self._task, self._make_agent, self._schedule, self._plan = task, _maker(agent, plan), schedule, plan
-        self._costs, self._hooks = costs, hooks
+        self._costs, self._hooks, self._habits = costs, hooks, habits
         self._clock = current()
         self._guard = HangGuard(self._clock)
         self._recorder = Recorder()
@@ -163,6 +165,7 @@ class _Life:
             costs_rng=stream(self._plan.seed, "costs", trial),
             limits=self._plan.limits,
             learning_failed=self._learning_failed,
+            habits=self._habits,
         )
 
     async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:

@@ -50,6 +50,17 @@ class Limits:
         )
 
 
+@dataclass(frozen=True)
+class Habits:
+    """What is called for the sake of time: `calm` between cycles, `place_learner` by the thread of a learner."""
+
+    calm: Callable[[], None] | None = None
+    place_learner: Callable[[], None] | None = None
+
+
+NO_HABITS = Habits()
+
+
 def agent_prologue(schedule: Schedule, agent: Agent) -> Order:
     """Return what runs before the first cycle; raise `ScheduleError` where schedule and agent do not fit."""
     before = prologue(schedule.order, agent.learner.needs_next_action)
@@ -85,8 +96,9 @@ class Runtime:
         costs_rng: RandomGenerator,
         limits: Limits,
         learning_failed: Callable[[BaseException], None],
+        habits: Habits,
     ) -> None:
-        self._devices, self._all = devices, tuple(devices.values())
+        self._devices, self._calm = devices, habits.calm
         self._task, self._agent, self._schedule = task, agent, schedule
         self._clock, self._now, self._guard = clock, clock.now, guard
         self._recorder, self._hooks, self._limits = recorder, hooks, limits
@@ -95,17 +107,21 @@ class Runtime:
         self._reactions = ReactionTimer(task.answers)
         self._prologue = agent_prologue(schedule, agent)
         self._components = {ACT: self._act, OBSERVE: self._observe, CHOOSE: self._choose}
-        self._senses = Senses(self._all, schedule, clock, recorder)
-        self._idling = Idling(self._all, clock, limits.episode_time) if clock.virtual else None
+        self._senses = Senses(tuple(devices.values()), schedule, clock, recorder)
+        self._idling = Idling(tuple(devices.values()), clock, limits.episode_time) if clock.virtual else None
         self._record_component = {name: series.record for name, series in recorder.components.items()}
-        self._record_queue_length, self._record_queue_age = recorder.queue_length.record, recorder.queue_age.record
+        self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        desk = Desk(clock, recorder, self._learning_cost, self._newest, self._learned, learning_failed)
+        costs_learning = bool(schedule.learn_delay) or LEARN in self._costs
+        desk = Desk(
+            clock, recorder, costs_learning, self._learning_cost, self._newest, self._learned, learning_failed
+        )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),
             self._senses,
             Urgency(schedule.learn, task, agent, self._senses),
             virtual=clock.virtual,
+            on_thread=habits.place_learner,
         )
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
         self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
@@ -143,7 +159,7 @@ class Runtime:
         for component in self._prologue:
             await self._components[component]()
         chooser = self._schedule.make_chooser()
-        paced = bool(self._schedule.period) or self._idling is not None
+        paced, calm = bool(self._schedule.period) or self._idling is not None, self._calm
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
@@ -156,17 +172,19 @@ class Runtime:
                     break
             if not self._schedule.acts:
                 self._tell()
+            if calm is not None:
+                calm()
         await self._end()
         return self._episode
 
     async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
-        for device in self._all:
+        for device in self._devices.values():
             device.stop_watching()
             if isinstance(device.device, Episodic):
                 begun = device.device.begin_episode(rngs[device.name])
                 await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
         now = self._now()
-        for device in self._all:
+        for device in self._devices.values():
             device.begin_episode(now)
         self._task.begin()
         self._agent.begin()
@@ -188,7 +206,7 @@ class Runtime:
         await self.work.learn()
         self._tell()
         now = self._now()
-        unseen = [stimulus for device in self._all for stimulus in device.new_stimuli(until=now)]
+        unseen = [stimulus for device in self._devices.values() for stimulus in device.new_stimuli(until=now)]
         self._reactions.end(unseen)
         self._episode.finished = True
         if self._pacer:
@@ -229,7 +247,7 @@ class Runtime:
         waiting = len(self._agent.queue) if self._in_one_piece else self.work.length
         self._record_queue_length(waiting)
         if waiting:
-            self._record_queue_age(self.work.oldest_age(now))
+            self._recorder.queue_age.record(self.work.oldest_age(now))
         if "observed" in self._heard:
             self._hooks.note("observed", observation, stimuli)
 
@@ -291,12 +309,7 @@ class Runtime:
         return self._schedule.learn_delay + (cost.draw(self._costs_rng) if cost is not None else 0)
 
     def _learned(self, transition: Transition, delta: float) -> None:
-        start = self._mark
-        if self._in_one_piece:
-            end = self._done(LEARN)
-            self._recorder.learning_time += end - start
-        else:
-            end = self._now()
+        end = self._done(LEARN) if self._in_one_piece else self._now()
         if "learned" in self._heard:
             self._hooks.note("learned", transition, delta, end)
 

@@ -131,9 +131,7 @@ def test_one_prediction_is_that_among_all(compiled: bool) -> None:
     for _ in updating:  # also in the middle of an update
         alone = [made.prediction(name, there) for name in made.names]
         assert alone == made.predict(there).tolist()
-    with pytest.raises(
-        SpecError, match="there is no demon 'shoulder_lod γ=0.5': did you mean 'shoulder_load γ=0.5'"
-    ):
+    with pytest.raises(SpecError, match=r"did you mean .shoulder_load"):
         made.prediction("shoulder_lod γ=0.5", there)
 
 

@@ -18,13 +18,14 @@ IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "le
 
 @dataclass
 class Desk:
-    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns, if any), whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
     """
 
     clock: Clock
     recorder: Recorder
+    costs: bool
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
@@ -68,6 +69,7 @@ class Backlog:
         self.rules, self.desk = rules, desk
         self.current: Update | None = None
         self.failed = False
+        self.update = agent.learner.update
         self._agent, self._counters = agent, desk.recorder.counters
 
     def __len__(self) -> int:
@@ -97,7 +99,7 @@ class Backlog:
             return
         self.current = None
         in_place = not update.suspended and update.transition.complete_at >= self.desk.observed_at()
-        self._counters[how or (IN_PLACE if in_place else DEFERRED)] += 1
+        self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)
 
     def give_up(self, error: BaseException) -> None:
@@ -107,12 +109,16 @@ class Backlog:
         self.leave(1 + len(self.queue))
         self.desk.failed(error)
 
-    def leave(self, count: int) -> None:
-        """Count transitions that are not learned: so many that wait, and what came after learning had failed."""
+    def count(self, how: str, transitions: int = 1) -> None:
+        """Count how transitions were learned."""
+        self._counters[how] += transitions
+
+    def leave(self, transitions: int) -> None:
+        """Count what is not learned: so many that wait, and what came after learning had failed."""
         self.queue.clear()
-        self._counters["transitions_not_learned"] += count
+        self.count("transitions_not_learned", transitions)
         if self.failed:
-            self._counters["transitions_not_learned"] += self._agent.not_kept
+            self.count("transitions_not_learned", self._agent.not_kept)
             self._agent.not_kept = 0
 
     def shed(self) -> None:

@@ -8,7 +8,7 @@ import types
 from collections.abc import Generator
 from typing import Any
 
-from rtagent.backlog.backlog import DEFERRED, UNDER_PRESSURE, Backlog
+from rtagent.backlog.backlog import DEFERRED, IN_PLACE, UNDER_PRESSURE, Backlog
 from rtagent.learn import When
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
@@ -26,7 +26,8 @@ class Inline:
     def __init__(self, backlog: Backlog) -> None:
         self.backlog = backlog
         self.weights: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
-        self._queue, self._clock = backlog.queue, backlog.desk.clock
+        self._queue, self._clock, self._costs = backlog.queue, backlog.desk.clock, backlog.desk.costs
+        self._learned, self._in_place = backlog.desk.learned, 0
 
     @property
     def length(self) -> int:
@@ -41,8 +42,11 @@ class Inline:
 
     async def learn(self) -> None:
         """Learn every transition that waits."""
-        while self._queue:
-            await self._learn_one()
+        if self._costs:
+            while self._queue:
+                await self._learn_one()
+        else:
+            self._learn_at_once()
 
     async def relieve(self) -> None:
         """See to it that no more transitions wait than may."""
@@ -61,6 +65,7 @@ class Inline:
             while not backlog.step(update):
                 pass
             backlog.end(update, DEFERRED)
+        backlog.count(IN_PLACE, self._in_place)
         backlog.leave(len(backlog))
 
     def next_event(self, now: int) -> int | None:
@@ -69,6 +74,19 @@ class Inline:
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
+
+    def _learn_at_once(self) -> None:
+        """Learn all that waits, each in one piece and at no cost but its own: what is done in every cycle."""
+        queue, update, learned = self._queue, self.backlog.update, self._learned
+        while queue:
+            transition = queue.popleft()
+            try:
+                delta = update(transition)
+            except Exception as error:
+                self.backlog.give_up(error)
+                return
+            self._in_place += 1
+            learned(transition, delta)
 
     async def _learn_one(self, how: str = "") -> None:
         """Learn the oldest transition, in one piece."""

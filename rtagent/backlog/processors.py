@@ -20,8 +20,8 @@ Over = Callable[[Update, BaseException | None], None]
 class LearnerThread:
     """A thread that learns. Its kernels hold no GIL; between two of them whoever reads the weights comes first."""
 
-    def __init__(self) -> None:
-        self.taken = 0
+    def __init__(self, on_thread: Callable[[], None] | None = None) -> None:
+        self.taken, self._on_thread = 0, on_thread
         self.update: Update | None = None
         self.gate: AbstractContextManager[Any] = threading.Lock()
         self.weights: AbstractContextManager[Any] = _Turn(self.gate, threading.Lock())
@@ -50,6 +50,8 @@ class LearnerThread:
             self._thread.join(JOIN_TIMEOUT)
 
     def _work(self) -> None:
+        if self._on_thread is not None:
+            self._on_thread()
         while not self._closing:
             self._waiting.acquire()
             while not self._closing and (update := self._take()) is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -12,6 +13,8 @@ from rtagent.backlog.processors import LearnerThread, SecondProcessor
 from rtagent.learn import Where
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
+
+OnThread = Callable[[], None] | None
 
 
 class Work(Protocol):
@@ -44,9 +47,11 @@ class Work(Protocol):
         """End learning."""
 
 
-def make_work(backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool) -> Work:
-    """Return what learns by the rules of the backlog."""
+def make_work(
+    backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool, on_thread: OnThread = None
+) -> Work:
+    """Return what learns by the rules of the backlog; a thread calls `on_thread` when it begins."""
     rules = backlog.rules
     if rules.where is Where.THREAD:
-        return Elsewhere(backlog, senses, SecondProcessor() if virtual else LearnerThread())
+        return Elsewhere(backlog, senses, SecondProcessor() if virtual else LearnerThread(on_thread))
     return Inline(backlog) if rules.inline else InLoop(backlog, senses, urgency)

@@ -54,8 +54,14 @@ def current() -> Clock:
     return loop.clock if isinstance(loop, VirtualLoop) else RealClock()
 
 
-def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | None = None) -> T:
-    """Run `main` to its end under a clock, as `asyncio.run` does.
+def run(
+    main: Coroutine[Any, Any, T],
+    clock: ClockName = "real",
+    start: int | None = None,
+    *,
+    make_loop: Callable[[], asyncio.AbstractEventLoop] = real_loop,
+) -> T:
+    """Run `main` to its end under a clock, as `asyncio.run` does; `make_loop` makes the loop of the real one.
 
     A virtual clock starts at `start` (ns): by default far from zero and from the machine's own clock, so that
     code that reads the wrong one is found out.
@@ -63,7 +69,7 @@ def run(main: Coroutine[Any, Any, T], clock: ClockName = "real", start: int | No
     if asyncio._get_running_loop() is not None:
         main.close()
         raise ClockError("an event loop is running already: write `await run(...)` there, without clock.run.")
-    loop = real_loop() if clock == "real" else virtual_loop(START if start is None else start)
+    loop = make_loop() if clock == "real" else virtual_loop(START if start is None else start)
     try:
         return loop.run_until_complete(main)
     finally:

@@ -27,6 +27,8 @@ class RealClock:
 
     virtual = False
     now: Callable[[], int] = staticmethod(time.monotonic_ns)
+    computed: Callable[[], int] = staticmethod(time.thread_time_ns)
+    """How long (ns) this thread has kept a processor busy."""
 
     def suspended(self) -> int:
         """Return how long (ns) the machine has been suspended since it was started, where that can be known."""
@@ -58,7 +60,7 @@ def real_loop() -> asyncio.AbstractEventLoop:
     """Return an event loop whose sleeps end within 0.2 ms (asyncio's own are rounded to 1 ms by epoll)."""
     with contextlib.suppress(OSError, AttributeError):
         if sys.platform == "linux":
-            _fine_timer_slack()
+            fine_timer_slack()
             return asyncio.SelectorEventLoop(TimerfdSelector())
     return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
@@ -75,6 +77,32 @@ else:
     _Selector = selectors.SelectSelector
 
 
+class Timerfd:
+    """A timer of the kernel's that counts nanoseconds; its file can be read from when it has rung until it is set.
+
+    Raises OSError or AttributeError where the system has none.
+    """
+
+    def __init__(self) -> None:
+        self._libc = ctypes.CDLL(None, use_errno=True)
+        self.fd = self._libc.timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK_CLOEXEC)
+        if self.fd < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create failed")
+        self.armed = False
+        self._setting = _Interval()
+
+    def arm(self, timeout: float) -> None:
+        """Let it ring in `timeout` seconds, or a little earlier where that is long; never, if it is 0."""
+        nanoseconds = ceil((timeout - EARLY if timeout > 2 * EARLY else timeout) * 1e9)
+        self._setting.first_s, self._setting.first_ns = divmod(nanoseconds, 1_000_000_000)
+        self._libc.timerfd_settime(self.fd, 0, ctypes.byref(self._setting), None)
+        self.armed = nanoseconds > 0
+
+    def close(self) -> None:
+        """Close its file."""
+        os.close(self.fd)
+
+
 class TimerfdSelector(_Selector):
     """Epoll whose time-outs are kept by a timerfd, which counts nanoseconds where epoll counts milliseconds.
 
@@ -83,36 +111,25 @@ class TimerfdSelector(_Selector):
 
     def __init__(self) -> None:
         super().__init__()
-        self._libc = ctypes.CDLL(None, use_errno=True)
-        self._timer = self._libc.timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK_CLOEXEC)
-        if self._timer < 0:
-            raise OSError(ctypes.get_errno(), "timerfd_create failed")
-        self._armed = False
-        self._setting = _Interval()
-        self.register(self._timer, selectors.EVENT_READ)
+        self._timer = Timerfd()
+        self.register(self._timer.fd, selectors.EVENT_READ)
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait at most `timeout` seconds (None: for ever) and return what is ready."""
         if timeout is not None and timeout > 0:
-            self._arm(timeout - EARLY if timeout > 2 * EARLY else timeout)
+            self._timer.arm(timeout)
             timeout = None
-        elif timeout is None and self._armed:
-            self._arm(0)
-        return [ready for ready in super().select(timeout) if ready[0].fd != self._timer]
+        elif timeout is None and self._timer.armed:
+            self._timer.arm(0)
+        return [ready for ready in super().select(timeout) if ready[0].fd != self._timer.fd]
 
     def close(self) -> None:
         """Close the epoll and its timer."""
         super().close()
-        os.close(self._timer)
-
-    def _arm(self, timeout: float) -> None:
-        nanoseconds = ceil(timeout * 1e9)
-        self._setting.first_s, self._setting.first_ns = divmod(nanoseconds, 1_000_000_000)
-        self._libc.timerfd_settime(self._timer, 0, ctypes.byref(self._setting), None)
-        self._armed = nanoseconds > 0
+        self._timer.close()
 
 
-def _fine_timer_slack() -> None:
+def fine_timer_slack() -> None:
     """Ask the kernel not to delay this thread's timers by its usual 50 µs."""
     set_timer_slack = 29
     ctypes.CDLL(None).prctl(set_timer_slack, 1, 0, 0, 0)

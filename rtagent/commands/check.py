@@ -47,6 +47,8 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"
+    if "horde" in scenario.parts:
+        yield f"beside it a Horde, over {scenario.parts['horde.features'].name} features of its own"
     yield from _explain_memory(assembly.memory)
     yield from _explain_schedule(assembly)
     yield from _warnings(scenario, assembly)
@@ -77,14 +79,15 @@ def _explain_schedule(assembly: Assembly) -> Iterator[str]:
 
 def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
     schedule = assembly.schedule
-    sampled = any(device.spec.rate for device in assembly.devices.values())
     synchronous = any(device.spec.synchronous for device in assembly.devices.values())
     slowed = schedule.learn_delay and schedule.learn.inline
-    paced = schedule.period or slowed or (sampled and schedule.observe == "fresh")
-    if scenario.model.run.clock == "real" and not paced and not synchronous:
+    real = scenario.model.run.clock == "real"
+    if real and assembly.never_sleeps and not slowed and not synchronous:
         yield "note: nothing paces this loop, so it will keep a core busy; give schedule.period a value."
     if synchronous and not (scenario.model.run.episode_steps or scenario.model.run.episode_time):
         yield "note: nothing bounds an episode of this synchronous world; give run.episode_steps a value."
+    if real and assembly.never_sleeps and assembly.realtime.priority:
+        yield "note: this loop never sleeps, so it gets no realtime.priority; give schedule.period a value."
     costs = [component.value for component in assembly.costs]
-    if costs and scenario.model.run.clock == "real":
+    if costs and real:
         yield f"note: costs ({', '.join(costs)}) are charged under the virtual clock only."

@@ -11,6 +11,7 @@ from rtagent.units import describe
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
+    from rtagent.realtime import Manners
     from rtagent.scenario import Assembly, Scenario
 
 LINES = 20
@@ -20,7 +21,7 @@ LINES = 20
 class Progress:
     """An instrument that tells how far the run is."""
 
-    def __init__(self, scenario: Scenario, assembly: Assembly, out: TextIO) -> None:
+    def __init__(self, scenario: Scenario, assembly: Assembly, granted: Manners, out: TextIO) -> None:
         run, plan = scenario.model.run, assembly.plan
         self._out, self._reacts = out, assembly.schedule.acts
         self._total = plan.trials * plan.episodes
@@ -32,6 +33,8 @@ class Progress:
         )
         for note in device_notes(assembly):
             self._print(note)
+        if granted.granted:
+            self._print(f"real-time manners: {', '.join(granted.granted)}")
         self._bar = self._make_bar() if out.isatty() else None
 
     def episode_ended(self, record: EpisodeRecord) -> None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rtagent import clock
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
 from rtagent.errors import RtagentError, ScenarioError
-from rtagent.result import Result, RunError
-from rtagent.scenario import Scenario, assemble, load
+from rtagent.realtime import Manners, manners
+from rtagent.result import RunError
+from rtagent.runtime import Habits
+from rtagent.scenario import Assembly, Scenario, assemble, load
 
 
 def run_command(arguments: argparse.Namespace) -> int:
@@ -26,11 +28,18 @@ def run_command(arguments: argparse.Namespace) -> int:
     except ScenarioError as error:
         sys.stderr.write(f"{error}\n")
         return 2
+    with manners(assembly.realtime, scenario.model.run.clock, busy=assembly.never_sleeps) as granted:
+        return _run(scenario, assembly, granted, arguments)
+
+
+def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: argparse.Namespace) -> int:
     out = sys.stderr if arguments.json == "-" else sys.stdout
-    progress = None if arguments.quiet else Progress(scenario, assembly, out)
+    progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
+    told = _tell_refused(granted.refused)
     result, failure = None, None
     try:
-        result = clock.run(assembly.run([progress] if progress else []), scenario.model.run.clock)
+        habits = Habits(granted.calm, granted.place_learner)
+        result = granted.run(assembly.run([progress] if progress else [], habits))
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:
@@ -41,10 +50,17 @@ def run_command(arguments: argparse.Namespace) -> int:
             progress.close()
     if not arguments.quiet:
         print_report(result, out)
+    _tell_refused(granted.refused[told:])
     if failure is not None:
         _print_failure(failure)
-    _write(scenario, result, arguments.json)
+    _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
     return 0 if failure is None and not result.not_safe and result.learned_all else 1
+
+
+def _tell_refused(sentences: Sequence[str]) -> int:
+    for sentence in sentences:
+        sys.stderr.write(f"note: {sentence}\n")
+    return len(sentences)
 
 
 def _check_output(path: str | None) -> None:
@@ -66,11 +82,11 @@ def _print_failure(failure: RunError) -> None:
         sys.stderr.write(f"  {sentence}\n")
 
 
-def _write(scenario: Scenario, result: Result, path: str | None) -> None:
+def _write(scenario: Scenario, result: dict[str, Any], path: str | None) -> None:
     if path is None:
         return
     resolved = scenario.resolved()
-    data: dict[str, Any] = {"scenario": scenario.name, **result.as_dict(), "resolved": resolved}
+    data = {"scenario": scenario.name, **result, "resolved": resolved}
     text = json.dumps(data, indent=2) + "\n"
     if path == "-":
         sys.stdout.write(text)

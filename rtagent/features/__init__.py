@@ -3,6 +3,7 @@
 from rtagent.features.coder import FeatureCoder, Remembering
 from rtagent.features.inputs import Composed, DataTrace, Inputs, Traced
 from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
+from rtagent.features.paired import PairedCoder, PairedVector
 from rtagent.features.sparse import SparseMemory
 from rtagent.features.tables import Binned, OneHot, Tabular
 from rtagent.features.tiles import TileCoding
@@ -16,6 +17,8 @@ __all__ = [
     "Inputs",
     "KanervaCoding",
     "OneHot",
+    "PairedCoder",
+    "PairedVector",
     "Remembering",
     "SelectiveKanerva",
     "SparseMemory",

@@ -8,6 +8,7 @@ from rtagent.learning.off_policy import GTD
 from rtagent.learning.prediction import TD
 from rtagent.learning.swift import SwiftTD
 from rtagent.learning.true_online import TrueOnlineSarsa, TrueOnlineTD
+from rtagent.learning.with_horde import WithHorde
 
 __all__ = [
     "GTD",
@@ -28,4 +29,5 @@ __all__ = [
     "TrueOnlineSarsa",
     "TrueOnlineTD",
     "Verified",
+    "WithHorde",
 ]

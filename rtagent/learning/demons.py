@@ -17,8 +17,7 @@ from rtagent.learning.off_policy import Target
 from rtagent.learning.steps import Fraction, GammaPer, checked_fraction
 from rtagent.specs import Spec
 
-OnPolicy = Literal["true_online_td", "td", "swift_td"]
-Algorithm = OnPolicy | Literal["gtd"]
+Algorithm = Literal["true_online_td", "td", "swift_td", "gtd"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,8 @@ class Demons:
     """Many demons: for each signal that fits a pattern of `signals`, and each of `gammas`, one for its value.
 
     With `bins` also one for each of so many equal parts of its range: how much of the time it will be there.
-    `name` is the set's, for others to build `on` it. What is None is the Horde's.
+    `policy` is the probability of each action under the policy that they ask about; they then learn by gtd.
+    `name` is the set's, for others to build `on` it. What else is None is the Horde's.
     """
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
@@ -92,7 +92,8 @@ class Demons:
     gammas: tuple[float, ...] = (0.9,)
     gamma_per: GammaPer = "step"
     bins: int = 0
-    learner: OnPolicy = "true_online_td"
+    learner: Algorithm = "true_online_td"
+    policy: tuple[float, ...] | None = None
     alpha: float | None = None
     divide_alpha: bool | None = None
     lambda_: float | None = None
@@ -120,7 +121,9 @@ class Demons:
             label = f"{self.name}: {signal}" if self.name else signal
             for part, cumulant, span in self._cumulants(signal, place, spec):
                 name = f"{label}{part} γ={continuation}"
-                yield Demon(name, cumulant, continuation, None, method, self.normalised, span, self.on, self.name)
+                yield Demon(
+                    name, cumulant, continuation, self.policy, method, self.normalised, span, self.on, self.name
+                )
 
     def _cumulants(
         self, signal: str, place: int, spec: Spec

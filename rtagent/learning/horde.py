@@ -32,7 +32,8 @@ class Horde:
     `alpha` (of all active features together, unless `divide_alpha` is false) and `lambda_` are those of every set
     that does not say otherwise. The returns of `measured` demons, evenly spread over those that predict
     values, are waited for and compared with what was predicted; with `rupee` their projected errors are estimated
-    too. Weights are float32 or float64.
+    too. Weights are float32 or float64. `actions` is how many the agent has, where that is known: a policy that
+    demons ask about is then checked.
     A signal outside its declared range is learned from as the end of the range, and counted in `clipped`; raises
     `SpecError` for one that is not a number, before anything is learned.
     """
@@ -45,6 +46,7 @@ class Horde:
         size: int,
         state: Mapping[str, Spec],
         active: int = 1,
+        actions: int | None = None,
         demons: tuple[Declared, ...] = (Demons(),),
         alpha: float = 0.1,
         divide_alpha: bool = True,
@@ -56,6 +58,8 @@ class Horde:
         self._signals = _Signals(state)
         usual = Method(alpha=alpha, divide_alpha=divide_alpha, lambda_=lambda_)
         self.demons = _expanded(demons, state, usual)
+        if actions is not None:
+            _check_policies(self.demons, actions)
         _claim(self.demons, size, precision)
         cumulants = [self._signals.place(demon) for demon in self.demons]
         self._places = _grouped(self.demons)
@@ -198,6 +202,22 @@ def _expanded(declared: Sequence[Declared], state: Mapping[str, Spec], usual: Me
         double = next(name for number, name in enumerate(names) if name in names[:number])
         raise SpecError(f"two demons are called {double!r}: give one of their sets a name.")
     return demons
+
+
+def _check_policies(demons: Sequence[Demon], actions: int) -> None:
+    for demon in demons:
+        if demon.policy is None:
+            continue
+        if not actions:
+            raise SpecError(
+                f"demon {demon.name!r} asks about a policy, and this run only predicts, so that nothing is done: "
+                "leave its policy out, or let the agent control and put the demons into [horde]."
+            )
+        if isinstance(demon.policy, Sequence) and len(demon.policy) != actions:
+            raise SpecError(
+                f"demon {demon.name!r} asks about the policy {list(demon.policy)}: "
+                f"give the probability of each of the {actions} actions."
+            )
 
 
 def _claim(demons: Sequence[Demon], size: int, precision: Precision) -> None:

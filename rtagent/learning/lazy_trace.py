@@ -83,7 +83,8 @@ class LazyTrace:
         self.cumulants, self._alpha, self._kernels = cumulants, alpha, compiled
         self.slice_bytes = SLICE_BYTES
         self._smallest, self._least = SMALLEST_SCALE[precision], LEAST_TRACE[precision] * alpha
-        self._table: NDArray[Any] = np.zeros((size, demons), precision)
+        # written to, as np.zeros is not: the first touch of a page, in a run, would take up to milliseconds
+        self._table: NDArray[Any] = np.full((size, demons), 0.0, precision)
         self.total, self.beta, self.offset, self.estimate = np.zeros((4, demons), precision)
         self.delta, self.cumulant = np.zeros((2, demons), precision)
         self._trace: FloatArray = np.zeros(size)

@@ -26,6 +26,7 @@ class Learner(Protocol):
         """Learn one transition and return its temporal-difference error, delta."""
 
 
+@runtime_checkable
 class SlicedLearner(Learner, Protocol):
     """A learner whose updates can be suspended."""
 

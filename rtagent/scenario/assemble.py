@@ -14,17 +14,21 @@ from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
 from rtagent.device import Device, Finite
 from rtagent.errors import RtagentError, ScenarioError, SpecError
-from rtagent.features import Composed, FeatureCoder, Inputs
+from rtagent.features import Composed, FeatureCoder, Inputs, PairedCoder
 from rtagent.features.inputs import matching
 from rtagent.learn import Condition, Learn
+from rtagent.learning import Horde, WithHorde
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
+from rtagent.realtime import Realtime
 from rtagent.result import Result
-from rtagent.runtime import Limits, agent_prologue
+from rtagent.runtime import NO_HABITS, Habits, Limits, agent_prologue
 from rtagent.scenario.load import Part, Scenario
+from rtagent.scenario.model import InputTable
 from rtagent.scenario.source import KeyPath
 from rtagent.schedule import Component, Order, Schedule
+from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
 from rtagent.task import Task
@@ -46,8 +50,15 @@ class Assembly:
     supervision: dict[str, Supervision]
     memory: dict[str, int]
     """Bytes that an agent takes, by what they are for."""
+    realtime: Realtime
 
-    async def run(self, instruments: Iterable[object] = ()) -> Result:
+    @property
+    def never_sleeps(self) -> bool:
+        """Whether its loop waits neither for a period nor for the samples of a device."""
+        sampled = any(device.spec.rate for device in self.devices.values())
+        return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
+
+    async def run(self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
         return await run(
             self.devices,
@@ -58,6 +69,7 @@ class Assembly:
             costs=self.costs,
             supervision=self.supervision,
             instruments=instruments,
+            habits=habits,
         )
 
 
@@ -109,7 +121,9 @@ def assemble(scenario: Scenario) -> Assembly:
         name: Supervision(table.supervision.timeout, table.supervision.stale_after)
         for name, table in scenario.model.devices.items()
     }
-    return Assembly(devices, task, make_agent, schedule, before, plan, costs, supervision, memory)
+    return Assembly(
+        devices, task, make_agent, schedule, before, plan, costs, supervision, memory, _realtime(scenario)
+    )
 
 
 def _refuse_trials(trials: int, size: int) -> None:
@@ -130,66 +144,96 @@ class _AgentBuilder:
     """Builds agents from the tables of a scenario; each part under its own place, for its problems."""
 
     def __init__(self, scenario: Scenario, task: Task) -> None:
-        self._parts, self._task, self._input = scenario.parts, task, scenario.model.features.input
+        self._scenario, self._parts, self._task = scenario, scenario.parts, task
+        model = scenario.model
+        self._coders = {"learner": _CoderBuilder(self._parts["features"], model.features.input, task)}
+        if model.horde is not None:
+            self._coders["horde"] = _CoderBuilder(self._parts["horde.features"], model.horde.features.input, task)
 
     def __call__(self, rng: Generator) -> Agent:
-        features, policy = self._features(self._inputs()), self._policy()
-        return Agent(features, self._learner(features, policy), policy, rng)
+        """Make an agent; raise `ScenarioError` where that fails."""
+        problems = _Problems(self._scenario)
+        agent = self.attempt(problems, rng)
+        if agent is None:
+            raise ScenarioError(problems.sentences)
+        return agent
 
     def attempt(self, problems: _Problems, rng: Generator) -> Agent | None:
-        """Make an agent once, noting what is wrong with each of its parts."""
+        """Make an agent, noting what is wrong with each of its parts."""
         if problems.sentences and not self._task.state:
             return None  # a task may know its signals only when bound to devices that are right
-        inputs = self._attempt_inputs(problems)
-        known = inputs is not None or self._input is None
-        features = problems.attempt(("features",), lambda: self._features(inputs)) if known else None
         policy = problems.attempt(("policy",), self._policy)
-        if features is None or (policy is None and "policy" in self._parts):
+        made = [self._attempt_learner(table, policy, problems) for table in self._coders]
+        if None in made:
             return None
-        learner = problems.attempt(("learner",), lambda: self._learner(features, policy))
+        (features, learner), *beside = filter(None, made)
+        for horde_features, horde in beside:
+            features = PairedCoder(features, horde_features)
+            learner = problems.attempt(("horde",), partial(WithHorde, learner, horde))
         return None if learner is None else Agent(features, learner, policy, rng)
-
-    def _attempt_inputs(self, problems: _Problems) -> Inputs | None:
-        """Make the inputs once, where there are any, noting each pattern that matches nothing."""
-        if self._input is None:
-            return None
-        path, before = ("features", "input"), len(problems.sentences)
-        problems.attempt((*path, "signals"), partial(matching, self._input.signals, self._task.state))
-        for number, each in enumerate(self._input.traces):
-            at = (*path, "traces", number, "signals")
-            problems.attempt(at, partial(matching, each.signals, self._task.state))
-        return problems.attempt(path, self._inputs) if len(problems.sentences) == before else None
-
-    def _inputs(self) -> Inputs | None:
-        table = self._input
-        if table is None:
-            return None
-        coder = self._parts["features"].settings
-        for key, field in type(coder).model_fields.items():
-            if key in ("outside", "bias") and getattr(coder, key) != field.default:
-                raise SpecError(f"{key} is set for the coder, behind its input: set it in [features.input] alone.")
-        return Inputs(self._task.state, signals=table.signals, traces=table.traces, outside=table.outside)
-
-    def _features(self, inputs: Inputs | None) -> FeatureCoder:
-        state = self._task.state if inputs is None else inputs.specs
-        made: FeatureCoder = _build(self._parts["features"], state=state)
-        if inputs is None or self._input is None:
-            return made
-        return Composed(inputs, made, bias=self._input.bias)
 
     def _policy(self) -> Policy | None:
         made: Policy | None = _build(self._parts["policy"]) if "policy" in self._parts else None
         return made
 
-    def _learner(self, features: FeatureCoder, policy: Policy | None) -> Any:
+    def _attempt_learner(
+        self, table: str, policy: Policy | None, problems: _Problems
+    ) -> tuple[FeatureCoder, Any] | None:
+        """Make the learner of a table, and the coder of its features."""
+        features = self._coders[table].attempt(problems)
+        if features is None or (policy is None and "policy" in self._parts):
+            return None
+        learner = problems.attempt((table,), lambda: self._learner(table, features, policy))
+        return None if learner is None else (features, learner)
+
+    def _learner(self, table: str, features: FeatureCoder, policy: Policy | None) -> Any:
+        plugin = self._parts[table].plugin
         return _build(
-            self._parts["learner"],
+            self._parts[table],
             size=features.size,
             active=features.active,
-            actions=len(self._task.actions),
+            actions=0 if policy is None and plugin is Horde else len(self._task.actions),
             state=self._task.state,
             policy=policy,
         )
+
+
+class _CoderBuilder:
+    """Builds a coder, behind its inputs if it has any, from its table."""
+
+    def __init__(self, part: Part, table: InputTable | None, task: Task) -> None:
+        self._part, self._input, self._task = part, table, task
+
+    def attempt(self, problems: _Problems) -> FeatureCoder | None:
+        """Make it, noting what is wrong, and each pattern that matches nothing."""
+        table = self._input
+        if table is None:
+            return problems.attempt(self._part.path, lambda: self._coder(self._task.state))
+        inputs = self._attempt_inputs(table, problems)
+        if inputs is None:
+            return None
+        coder = problems.attempt(self._part.path, lambda: self._coder(inputs.specs))
+        return None if coder is None else Composed(inputs, coder, bias=table.bias)
+
+    def _coder(self, state: Mapping[str, Spec]) -> FeatureCoder:
+        made: FeatureCoder = _build(self._part, state=state)
+        return made
+
+    def _attempt_inputs(self, table: InputTable, problems: _Problems) -> Inputs | None:
+        path, before = (*self._part.path, "input"), len(problems.sentences)
+        problems.attempt((*path, "signals"), partial(matching, table.signals, self._task.state))
+        for number, each in enumerate(table.traces):
+            at = (*path, "traces", number, "signals")
+            problems.attempt(at, partial(matching, each.signals, self._task.state))
+        return problems.attempt(path, lambda: self._inputs(table)) if len(problems.sentences) == before else None
+
+    def _inputs(self, table: InputTable) -> Inputs:
+        coder = self._part.settings
+        for key, field in type(coder).model_fields.items():
+            if key in ("outside", "bias") and getattr(coder, key) != field.default:
+                where = ".".join(map(str, self._part.path))
+                raise SpecError(f"{key} is set for the coder, behind its input: set it in [{where}.input] alone.")
+        return Inputs(self._task.state, signals=table.signals, traces=table.traces, outside=table.outside)
 
 
 def _schedule(scenario: Scenario) -> Schedule:
@@ -211,6 +255,11 @@ def _learn(scenario: Scenario, usual: Learn) -> Learn:
     given = {name: value for name, value in said.items() if value is not None}
     urgent = Condition(**table.urgent.model_dump()) if table.urgent else None
     return replace(usual, urgent=urgent, **given)
+
+
+def _realtime(scenario: Scenario) -> Realtime:
+    table = scenario.model.realtime
+    return Realtime(**{name: getattr(table, name) for name in type(table).model_fields})
 
 
 def _costs(scenario: Scenario) -> Costs:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from rtagent import plugins
 from rtagent.errors import PluginError, ScenarioError, did_you_mean
-from rtagent.scenario.model import DeviceTable, FeaturesTable, ScenarioModel, TypedTable
+from rtagent.scenario.model import DeviceTable, FeaturesTable, HordeTable, ScenarioModel, TypedTable
 from rtagent.scenario.settings import keys_at, settings_model
 from rtagent.scenario.source import KeyPath, Source
 
@@ -21,6 +21,16 @@ M = TypeVar("M", bound=BaseModel)
 TYPED_TABLES = {"task": "tasks", "features": "features", "learner": "learners", "policy": "policies"}
 OWN_KEYS: dict[str, type[BaseModel]] = {"drivers": DeviceTable, "features": FeaturesTable}
 """Tables that have further keys of their own beside the plug-in's settings."""
+
+
+class _PluginTable(NamedTuple):
+    """A table of a plug-in's settings; `name_path` is the key that names it, `own` what has its further keys."""
+
+    group: str
+    name: Any
+    path: KeyPath
+    name_path: KeyPath
+    own: type[BaseModel]
 
 
 @dataclass
@@ -44,7 +54,7 @@ class Part:
 
 @dataclass
 class Scenario:
-    """A validated scenario: its tables, and its plug-ins with their settings."""
+    """A validated scenario: its tables, and its plug-ins with their settings, by the names of their tables."""
 
     source: Source
     model: ScenarioModel
@@ -60,10 +70,9 @@ class Scenario:
         """Return the scenario with every default written out, as data for TOML; loading it gives it again."""
         data = self.model.model_dump(mode="json", exclude_none=True)
         data["name"] = self.name
-        for name, part in self.devices.items():
-            data["devices"][name] = part.resolved(data["devices"][name])
-        for table, part in self.parts.items():
-            data[table] = part.resolved(data[table])
+        for part in (*self.devices.values(), *self.parts.values()):
+            home = _table_at(data, part.path[:-1])
+            home[part.path[-1]] = part.resolved(home[part.path[-1]])
         return data
 
 
@@ -74,68 +83,81 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     model = _validated(ScenarioModel, source.values, (), source, problems)
     tables = source.values if model is None else model.model_dump()
     scenario = Scenario(source, model) if model is not None else None
-    for group, name_key, table_path, table in _plugin_tables(tables):
-        part = _part(group, name_key, table_path, table, source, problems)
-        if part is not None and scenario is not None:
-            home = scenario.devices if group == "drivers" else scenario.parts
-            home[str(table_path[-1])] = part
+    for table in _plugin_tables(tables):
+        part = _part(table, source, problems)
+        if part is None or scenario is None:
+            continue
+        if table.group == "drivers":
+            scenario.devices[str(table.path[-1])] = part
+        else:
+            scenario.parts[".".join(map(str, table.path))] = part
     if problems or scenario is None:
         raise ScenarioError(sorted(problems, key=_line_of))
     return scenario
 
 
-def _plugin_tables(values: Mapping[str, Any]) -> Iterator[tuple[str, str, KeyPath, Mapping[str, Any]]]:
-    """Yield (group, the key that names the plug-in, path, table) of all that names a plug-in."""
+def _plugin_tables(values: Mapping[str, Any]) -> Iterator[_PluginTable]:
+    """Yield every table of a plug-in's settings; those within another come after it."""
     devices = values.get("devices")
-    for name, table in devices.items() if isinstance(devices, dict) else ():
-        if isinstance(table, dict):
-            yield "drivers", "driver", ("devices", name), table
+    for name in devices if isinstance(devices, dict) else ():
+        yield from _named(values, "drivers", ("devices", name), "driver")
     for table_name, group in TYPED_TABLES.items():
-        table = values.get(table_name)
-        if isinstance(table, dict):
-            yield group, "type", (table_name,), table
+        yield from _named(values, group, (table_name,), "type")
+    if isinstance(values.get("horde"), dict):
+        yield _PluginTable("learners", "horde", ("horde",), ("horde",), HordeTable)
+        yield from _named(values, "features", ("horde", "features"), "type")
 
 
-def _part(
-    group: str, name_key: str, path: KeyPath, table: Mapping[str, Any], source: Source, problems: list[str]
-) -> Part | None:
-    name = table.get(name_key)
-    if not isinstance(name, str):
+def _named(values: Mapping[str, Any], group: str, path: KeyPath, name_key: str) -> Iterator[_PluginTable]:
+    """Yield the table at `path`, if it is one, with the plug-in that it names itself."""
+    table = _table_at(values, path[:-1]).get(path[-1])
+    if isinstance(table, dict):
+        yield _PluginTable(group, table.get(name_key), path, (*path, name_key), OWN_KEYS.get(group, TypedTable))
+
+
+def _part(table: _PluginTable, source: Source, problems: list[str]) -> Part | None:
+    if not isinstance(table.name, str):
         return None  # the model has said so already
     try:
-        plugin = plugins.load(group, name)
+        plugin = plugins.load(table.group, table.name)
     except PluginError as error:
-        problems.append(f"{source.where((*path, name_key))}: {error}")
+        problems.append(f"{source.where(table.name_path)}: {error}")
         return None
-    own = OWN_KEYS.get(group, TypedTable).model_fields
-    raw = _raw_table(source.values, path)
-    given = {key: value for key, value in raw.items() if key not in own}
-    settings = _validated(settings_model(plugin), given, path, source, problems)
-    return None if settings is None else Part(name, plugin, settings, path)
+    own = table.own.model_fields
+    given = {key: value for key, value in _table_at(source.values, table.path).items() if key not in own}
+    settings = _validated(settings_model(plugin), given, table.path, source, problems, own)
+    return None if settings is None else Part(table.name, plugin, settings, table.path)
 
 
-def _raw_table(values: Mapping[str, Any], path: KeyPath) -> Mapping[str, Any]:
+def _table_at(values: Any, path: KeyPath) -> Any:
     for name in path:
-        values = values[name]  # type: ignore[index]  # the path was read from these very values
+        values = values[name]
     return values
 
 
 def _validated(
-    model: type[M], values: Mapping[str, Any], path: KeyPath, source: Source, problems: list[str]
+    model: type[M],
+    values: Mapping[str, Any],
+    path: KeyPath,
+    source: Source,
+    problems: list[str],
+    own: Collection[str] = (),
 ) -> M | None:
+    """Return `values` as a model, or None after noting what is wrong; the table at `path` also has `own` keys."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
         for detail in error.errors(include_url=False):
             place: KeyPath = path + tuple(detail["loc"])
-            problems.append(f"{source.where(place)}: {_sentence(detail, place, model)}")
+            problems.append(f"{source.where(place)}: {_sentence(detail, place, model, own)}")
         return None
 
 
-def _sentence(detail: Any, place: KeyPath, model: type[BaseModel]) -> str:
+def _sentence(detail: Any, place: KeyPath, model: type[BaseModel], own: Collection[str]) -> str:
     key = ".".join(str(name) for name in place)
     if detail["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        known = keys_at(model, detail["loc"][:-1])
+        inside = detail["loc"][:-1]
+        known = keys_at(model, inside) + ([] if inside else list(own))
         return f"there is no key {key!r}{did_you_mean(str(place[-1]), known)}"
     if detail["type"] == "missing":
         return f"the key {key!r} is missing: add it."

@@ -12,7 +12,7 @@ from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
 from rtagent.schedule import PRESETS, Component, Overrun, Wait
-from rtagent.units import Duration, ms
+from rtagent.units import Duration, ms, us
 
 
 class Table(BaseModel):
@@ -115,6 +115,28 @@ class StopTable(Table):
     drain: Duration = Field(500 * ms, description="how long learning may go on after a signal or a fault")
 
 
+Processor = Annotated[int, Field(ge=0)]
+
+
+class RealtimeTable(Table):
+    """What is asked of the machine, under the real clock; what it refuses is told, and the run goes on."""
+
+    priority: int = Field(0, ge=0, le=99, description="of SCHED_FIFO, 1 to 99; 0: the ordinary scheduling")
+    processors: tuple[Processor, ...] = Field((), description="the loop runs on these only; without any, on all")
+    learner_processors: tuple[Processor, ...] = Field((), description="those of a thread that learns")
+    gc: Literal["default", "calm"] = Field("default", description="calm: garbage is collected in calm moments only")
+    switch_interval: Duration = Field(0, description="how long a thread keeps the GIL; 0: as Python has it")
+    uvloop: bool = Field(False, description="the event loop is uvloop's")
+    lock_memory: bool = Field(False, description="memory that was touched is never swapped out")
+
+    @field_validator("switch_interval")
+    @classmethod
+    def _microseconds(cls, interval: int) -> int:
+        if interval and interval < us:
+            raise ValueError("Python counts it in microseconds: give at least 1us, or 0 to leave it as it is")
+        return interval
+
+
 class PluginTable(BaseModel):
     """A table whose further keys are the settings of the plug-in that it names."""
 
@@ -142,6 +164,12 @@ class FeaturesTable(TypedTable):
     input: InputTable | None = None
 
 
+class HordeTable(PluginTable):
+    """A Horde beside the learner: its settings, and the features that it learns from."""
+
+    features: FeaturesTable
+
+
 class DeviceTable(PluginTable):
     """A device: its driver, the driver's settings, and how it is supervised."""
 
@@ -158,9 +186,11 @@ class ScenarioModel(Table):
     schedule: ScheduleTable
     learn: LearnTable = Field(default_factory=LearnTable)
     costs: CostsTable = Field(default_factory=CostsTable)
+    realtime: RealtimeTable = Field(default_factory=RealtimeTable)
     devices: dict[str, DeviceTable] = Field(min_length=1)
     task: TypedTable
     features: FeaturesTable
     learner: TypedTable
+    horde: HordeTable | None = None
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)

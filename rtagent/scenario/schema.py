@@ -22,7 +22,8 @@ def json_schema() -> dict[str, Any]:
     own = {"features": {"input": {"$ref": REF.format(model=InputTable.__name__)}}}
     for table, group in TYPED_TABLES.items():
         schema["properties"][table] = _one_of(group, "type", own.get(table, {}), definitions)
-    for unused in ("DeviceTable", "FeaturesTable", "TypedTable", "SupervisionTable"):
+    schema["properties"]["horde"] = _horde_table(schema["properties"]["features"], definitions)
+    for unused in ("DeviceTable", "FeaturesTable", "HordeTable", "TypedTable", "SupervisionTable"):
         definitions.pop(unused, None)
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "rtagent scenario"
@@ -35,14 +36,25 @@ def _one_of(group: str, name_key: str, properties: dict[str, Any], definitions: 
     }
 
 
+def _horde_table(features: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    return _settings_table("learners", "horde", {"features": features}, ["features"], definitions)
+
+
 def _plugin_table(
     group: str, name: str, name_key: str, properties: dict[str, Any], definitions: dict[str, Any]
 ) -> dict[str, Any]:
+    return _settings_table(group, name, {name_key: {"const": name}} | properties, [name_key], definitions)
+
+
+def _settings_table(
+    group: str, name: str, properties: dict[str, Any], required: list[str], definitions: dict[str, Any]
+) -> dict[str, Any]:
+    """Return a table of the settings of a plug-in, and of further `properties`, some of them `required`."""
     plugin = plugins.load(group, name)
     table = settings_model(plugin).model_json_schema(ref_template=REF)
     definitions.update(table.pop("$defs", {}))
     table["title"] = name
     table["description"] = plugins.summary(plugin)
-    table["properties"] = {name_key: {"const": name}} | properties | table.get("properties", {})
-    table["required"] = [name_key, *table.get("required", [])]
+    table["properties"] = properties | table.get("properties", {})
+    table["required"] = [*required, *table.get("required", [])]
     return table

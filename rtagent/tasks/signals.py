@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import Command, Observation, Outcome, Stimulus
-from rtagent.features.inputs import matching
 from rtagent.specs import DeviceSpec, Spec
+from rtagent.tasks.sensors import Readings, Sensor, numbers_sensed, picked
 
 ENDED = "ended"
 """A sensor of this name, true or false, says that a device has no more to come."""
-
-
-class _Sensor(NamedTuple):
-    device: str
-    name: str
-    spec: Spec
-
-    @property
-    def path(self) -> str:
-        return f"{self.device}.{self.name}"
 
 
 class Signals:
@@ -42,17 +30,10 @@ class Signals:
 
     def bind(self, devices: Mapping[str, DeviceSpec]) -> None:
         """Find the signals; raise `SpecError` where a pattern fits none, or there are none."""
-        there = [
-            _Sensor(device, name, sensor)
-            for device, spec in devices.items()
-            for name, sensor in spec.sensors.items()
-            if sensor.shape == ()
-        ]
-        picked = self._picked(there)
+        there = numbers_sensed(devices)
+        self._readings = Readings(self._chosen(there))
         reward = self._the_reward(there)
-        named = Counter(sensor.name for sensor in picked)
-        self.state = {sensor.name if named[sensor.name] == 1 else sensor.path: sensor.spec for sensor in picked}
-        self._places = [(sensor.device, sensor.name) for sensor in picked]
+        self.state = self._readings.specs
         self._reward = None if reward is None else (reward.device, reward.name)
         self._ends = [sensor.device for sensor in there if _is_end(sensor)]
 
@@ -62,10 +43,9 @@ class Signals:
     def interpret(self, observation: Observation) -> Outcome:
         """Return the signals as they are; the episode is truncated when a device has ended."""
         samples = observation.samples
-        state = tuple([float(samples[device].values[name]) for device, name in self._places])
         reward = float(samples[self._reward[0]].values[self._reward[1]]) if self._reward else 0.0
         ended = any(samples[device].values[ENDED] for device in self._ends)
-        return Outcome(state, reward, terminated=False, truncated=ended)
+        return Outcome(self._readings(observation), reward, terminated=False, truncated=ended)
 
     def commands(self, action: int) -> Mapping[str, Command]:
         """Return nothing: it has no actions."""
@@ -75,16 +55,16 @@ class Signals:
         """Say that nothing answers anything."""
         return False
 
-    def _picked(self, there: Sequence[_Sensor]) -> list[_Sensor]:
-        usable = {each.path: each for each in there if not _is_end(each)}
+    def _chosen(self, there: Sequence[Sensor]) -> list[Sensor]:
+        usable = [sensor for sensor in there if not _is_end(sensor)]
         if self._patterns:
-            return [usable[path] for path in matching(self._patterns, usable)]
-        picked = [each for each in usable.values() if each.spec.dtype != "bool"]
-        if not picked:
+            return picked(self._patterns, usable)
+        numbers = [sensor for sensor in usable if sensor.spec.dtype != "bool"]
+        if not numbers:
             raise SpecError("no device senses a number that could be a signal; it needs a sensor of shape ().")
-        return picked
+        return numbers
 
-    def _the_reward(self, there: Sequence[_Sensor]) -> _Sensor | None:
+    def _the_reward(self, there: Sequence[Sensor]) -> Sensor | None:
         if not self._reward_path:
             return None
         paths = {each.path: each for each in there}
@@ -94,5 +74,5 @@ class Signals:
         return paths[self._reward_path]
 
 
-def _is_end(sensor: _Sensor) -> bool:
+def _is_end(sensor: Sensor) -> bool:
     return sensor.name == ENDED and sensor.spec.dtype == "bool"
