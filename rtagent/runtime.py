@@ -129,7 +129,7 @@ class Runtime:
             on_thread=habits.place_learner,
         )
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
-        self._components[LEARN] = self.work.learn
+        self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
         if self._idling:
             self._idling.learning = self.work.next_event
 
@@ -186,6 +186,7 @@ class Runtime:
 
     async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
         for device in self._devices.values():
+            device.stop_watching()
             if isinstance(device.device, Episodic):
                 begun = device.device.begin_episode(rngs[device.name])
                 await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
@@ -290,6 +291,17 @@ class Runtime:
             if reactions and "reacted" in self._heard:
                 for reaction in reactions:
                     self._hooks.note("reacted", reaction)
+        self._tell()
+
+    async def _learn(self) -> None:
+        """Learn; what comes next in the cycle begins then."""
+        await self.work.learn()
+        self._mark = self._now()
+
+    async def drain(self, deadline: int | None) -> None:
+        """Learn what is left after the last episode, until `deadline` (ns; None: all of it)."""
+        self._mark = self._now()
+        await self.work.drain(deadline)
         self._tell()
 
     # What learning asks and tells

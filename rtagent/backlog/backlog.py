@@ -108,18 +108,21 @@ class Backlog:
     def give_up(self, error: BaseException) -> None:
         """End learning, not acting."""
         self.failed, self.current = True, None
-        self.lost(1 + len(self.queue))
-        self.queue.clear()
-        self._agent.keeps_transitions = False
+        self._agent.keeps_transitions, self._agent.not_kept = False, 0
+        self.leave(1 + len(self.queue))
         self.desk.failed(error)
 
     def count(self, how: str, transitions: int = 1) -> None:
         """Count how transitions were learned."""
         self._counters[how] += transitions
 
-    def lost(self, transitions: int) -> None:
-        """Count transitions that are not learned."""
-        self._counters["transitions_not_learned"] += transitions
+    def leave(self, transitions: int) -> None:
+        """Count what is not learned: so many that wait, and what came after learning had failed."""
+        self.queue.clear()
+        self.count("transitions_not_learned", transitions)
+        if self.failed:
+            self.count("transitions_not_learned", self._agent.not_kept)
+            self._agent.not_kept = 0
 
     def shed(self) -> None:
         """Drop the newest transition; the traces are cut there."""

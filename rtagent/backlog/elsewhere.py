@@ -95,8 +95,7 @@ class Elsewhere:
         await self._learn_until(deadline)
         self._processor.close()
         await asyncio.sleep(0)  # so that what was over before is told
-        self.backlog.lost(self.length)
-        self._queue.clear()
+        self.backlog.leave(self.length)
         self._over = self._processor.taken
 
     def close(self) -> None:

@@ -59,7 +59,8 @@ class LearnerThread:
                 if self._closing:
                     return
                 self._loop.call_soon_threadsafe(self._over, update, error)
-                self._closing = error is not None
+                if error is not None:
+                    return
 
     def _take(self) -> Update | None:
         with self.gate:
