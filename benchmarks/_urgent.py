@@ -7,15 +7,28 @@ from math import sin
 
 import numpy as np
 from numpy.random import Generator
-from rtagent_drivers.fake import FakeDevice
 
-from rtagent import Agent, DeviceSpec, Limits, Observation, Outcome, Plan, Result, Sample, Schedule, Spec, Stimulus
-from rtagent import Transition, run  # fmt: skip
+from rtagent import (  # fmt: skip
+    Agent,
+    DeviceSpec,
+    Limits,
+    Observation,
+    Outcome,
+    Plan,
+    Result,
+    Sample,
+    Schedule,
+    Spec,
+    Stimulus,
+    Transition,
+    run,
+)
 from rtagent.experience import Command, Values
 from rtagent.features import Tabular
 from rtagent.learning import Sarsa
 from rtagent.policy import EpsilonGreedy
 from rtagent.units import ms, second
+from rtagent_drivers.fake import FakeDevice
 
 TURN = 100 * ms
 PERIOD, COST = 5 * ms, 2 * ms
