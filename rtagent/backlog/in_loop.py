@@ -117,11 +117,8 @@ class InLoop(Inline):
             if self._calm and await self._is_urgent():
                 await self._wait_while_urgent()
                 break
-            if not self._slice:
-                await self._learn_one()
-                continue
-            await self._learn_slice()
-            if await self._something_is_new():
+            await (self._learn_slice() if self._slice else self._learn_one())
+            if (self._slice or self._urgency.by_prediction) and await self._something_is_new():
                 break
         if self.backlog.current is not None:
             self.backlog.current.suspended = True
