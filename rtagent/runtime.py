@@ -112,9 +112,14 @@ class Runtime:
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        costs_learning = bool(schedule.learn_delay) or LEARN in self._costs
         desk = Desk(
-            clock, recorder, costs_learning, self._learning_cost, self._newest, self._learned, learning_failed
+            clock,
+            recorder,
+            self._learning_cost,
+            self._newest,
+            self._learned,
+            learning_failed,
+            costs=bool(schedule.learn_delay) or LEARN in self._costs,
         )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),
@@ -163,8 +168,10 @@ class Runtime:
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
-            else:
+            elif self._in_one_piece or not self.work.called:
                 await yield_once()
+            else:  # learning has left off after a round of the loop
+                self.work.called = False
             self._mark = self._now()
             for component in chooser.cycle(self):
                 await self._components[component]()

@@ -46,7 +46,7 @@ PRESETS: dict[str, Preset] = {
     "standard": Preset(STANDARD, INLINE, "learns before it acts on what it saw (Algorithm 2)"),
     "reactive": Preset(REACTIVE, INLINE, "acts on what it saw at once, then learns (Algorithm 3)"),
     "deferred": Preset(REACTIVE, Learn(when=When.CALM), "learns later what it saw while it was urgent"),
-    "interruptible": Preset(REACTIVE, Learn(slice=100 * us), "learns in slices, and leaves off for news"),
+    "interruptible": Preset(REACTIVE, Learn(slice=40 * us), "learns in slices, and leaves off for news"),
     "background": Preset(REACTIVE, Learn(where=Where.THREAD), "learns on a thread of its own"),
 }
 

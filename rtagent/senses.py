@@ -28,8 +28,9 @@ class Senses:
         self._timeout = schedule.observe_timeout
         self._now, self._record_age = clock.now, recorder.sample_age.record
         self._stimulating = [device for device in devices if device.stimulating]
-        self.paced = self._waits and all(device.device.spec.rate for device in devices)
-        """Whether an observation always waits for a sample that comes by itself."""
+        sampled = self._waits and all(device.device.spec.rate for device in devices)
+        self.paced = bool(schedule.period) or sampled
+        """Whether a cycle always waits for its time, or for a sample that comes by itself."""
         self.synchronous = any(device.device.spec.synchronous for device in devices)
         """Whether something is new only after an act."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
@@ -109,7 +110,10 @@ class Senses:
     def news(self) -> bool:
         """Say whether there is something new to observe."""
         now = self._now()
-        return any(device.news(now) for device in self._devices)
+        for device in self._devices:  # noqa: SIM110  # asked after every slice, and any() costs as much again
+            if device.news(now):
+                return True
+        return False
 
     async def wait_for_news(self, other: asyncio.Future[None]) -> None:
         """Wait until there is something new to observe, or `other` is done; at most as long as observing may."""

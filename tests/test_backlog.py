@@ -99,7 +99,7 @@ class Told:
 
     def desk(self, cost: int = 0, own_clock: Any = None) -> Desk:
         at = own_clock or clock.current()
-        return Desk(at, self.recorder, cost > 0, lambda: cost, lambda: 0, self.learned, self.errors.append)
+        return Desk(at, self.recorder, lambda: cost, lambda: 0, self.learned, self.errors.append, costs=cost > 0)
 
 
 class Never:

@@ -18,18 +18,19 @@ IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "le
 
 @dataclass
 class Desk:
-    """What learning needs of the run: its clock and recorder, what a transition costs (ns, if any), whom to tell.
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
+    Where nothing `costs` anything, `cost` is always 0.
     """
 
     clock: Clock
     recorder: Recorder
-    costs: bool
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
     failed: Callable[[BaseException], None]
+    costs: bool = True
 
 
 class Update:
@@ -39,9 +40,11 @@ class Update:
         self.transition, self.cost, self.delta = transition, cost, 0.0
         self.spent = 0
         self.suspended = False
+        self.apart = False
+        """Whether the piece that follows leaves all action values alone."""
         self._learner = learner
         self._sliced = sliced and hasattr(learner, "updating")
-        self._pieces: Generator[None, None, float] | None = None
+        self._pieces: Generator[bool | None, None, float] | None = None
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
@@ -51,7 +54,7 @@ class Update:
         if self._pieces is None:
             self._pieces = self._learner.updating(self.transition)
         try:
-            next(self._pieces)
+            self.apart = bool(next(self._pieces))
         except StopIteration as done:
             self.delta = done.value
             return True

@@ -44,6 +44,7 @@ class Elsewhere:
         self.backlog, self._senses, self._processor = backlog, senses, processor
         self.weights = processor.weights
         self.next_event = processor.next_event
+        self.called = False
         self._queue, self._clock = backlog.queue, backlog.desk.clock
         self._over = 0
         self._pressed = False

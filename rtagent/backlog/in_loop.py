@@ -5,13 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import types
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from rtagent.backlog.backlog import DEFERRED, IN_PLACE, UNDER_PRESSURE, Backlog
+from rtagent.clock import ready_counter
 from rtagent.learn import When
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
+
+MOST_ROUNDS = 3
+"""From a byte in a pipe to a sample: its handler, the reading that waited for it, and one more."""
 
 
 @types.coroutine
@@ -20,12 +24,26 @@ def yield_once() -> Generator[None, None, None]:
     yield
 
 
+@types.coroutine
+def look(ready: Callable[[], int]) -> Generator[None, None, None]:
+    """Let the event loop take in what has arrived, and then whatever waited for that.
+
+    What arrives stands behind a task that is ready already, so it is gone round again while something is `ready`.
+    """
+    yield
+    for _ in range(MOST_ROUNDS):
+        if not ready():
+            return
+        yield
+
+
 class Inline:
     """Learns all that waits, whenever the schedule comes to it."""
 
     def __init__(self, backlog: Backlog) -> None:
         self.backlog = backlog
         self.weights: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+        self.called = False
         self._queue, self._clock, self._costs = backlog.queue, backlog.desk.clock, backlog.desk.costs
         self._learned, self._in_place = backlog.desk.learned, 0
 
@@ -105,7 +123,7 @@ class InLoop(Inline):
         super().__init__(backlog)
         self._senses, self._urgency = senses, urgency
         self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
-        self._recorder = backlog.desk.recorder
+        self._recorder, self._ready = backlog.desk.recorder, ready_counter()
         self._never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def learn(self) -> None:
@@ -130,28 +148,27 @@ class InLoop(Inline):
             self._recorder.learning_time += self._clock.now() - began
 
     async def _learn_slice(self) -> None:
-        """Learn for the length of a slice; the pieces of an update are cut where its algorithm says."""
+        """Learn for the length of a slice, by what the last piece took; an algorithm says where its pieces end."""
         now, update = self._clock.now, self.backlog.begin(sliced=True)
         began = now()
         if update.cost:
             cost = min(update.cost, self._slice)
             await self._clock.compute(cost)
             update.cost -= cost
-        over = False
+        over, spent = False, now() - began
         while not over and not update.cost:
-            over = self.backlog.step(update)
-            if now() - began >= self._slice:
+            over, before, spent = self.backlog.step(update), spent, now() - began
+            if 2 * spent - before > self._slice:
                 break
-        self._recorder.slices.record(now() - began)
-        self._recorder.learning_time += now() - began
+        self._recorder.slices.record(spent)
+        self._recorder.learning_time += spent
         if over:
             self.backlog.end(update)
 
     async def _something_is_new(self) -> bool:
-        """Look at the world: one round of the loop to take in what has arrived, one for what waits for it."""
-        await yield_once()
-        await yield_once()
-        return self._senses.news()
+        await look(self._ready)
+        self.called = self._senses.news()
+        return self.called
 
     async def _wait_while_urgent(self) -> None:
         """Wait for news where no device paces the cycle: the same again would only fill the queue."""
@@ -160,6 +177,5 @@ class InLoop(Inline):
             await senses.wait_for_news(self._never)
 
     async def _is_urgent(self) -> bool:
-        await yield_once()
-        await yield_once()
+        await look(self._ready)
         return await self._urgency()

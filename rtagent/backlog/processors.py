@@ -81,6 +81,8 @@ class LearnerThread:
         return None
 
     def _step(self, update: Update) -> bool:
+        if update.apart:
+            return update.step()
         with self.weights:
             return update.step()
 

@@ -23,6 +23,8 @@ class Work(Protocol):
     backlog: Backlog
     weights: AbstractContextManager[Any]
     """Within it nothing learns: the weights are those of whole pieces of work."""
+    called: bool
+    """Whether learning has just left off for something that a round of the event loop has brought."""
 
     @property
     def length(self) -> int:

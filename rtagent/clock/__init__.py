@@ -21,6 +21,7 @@ __all__ = [
     "VirtualLoop",
     "current",
     "occupy",
+    "ready_counter",
     "real_loop",
     "run",
 ]
@@ -52,6 +53,12 @@ def current() -> Clock:
     """Return the clock of the running event loop (any asyncio loop will do)."""
     loop = asyncio.get_running_loop()
     return loop.clock if isinstance(loop, VirtualLoop) else RealClock()
+
+
+def ready_counter() -> Callable[[], int]:
+    """Return what counts the callbacks that the running event loop is about to make (1 where it does not tell)."""
+    ready = getattr(asyncio.get_running_loop(), "_ready", None)
+    return (lambda: 1) if ready is None else ready.__len__
 
 
 def run(

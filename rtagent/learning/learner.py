@@ -30,10 +30,12 @@ class Learner(Protocol):
 class SlicedLearner(Learner, Protocol):
     """A learner whose updates can be suspended."""
 
-    def updating(self, transition: Transition) -> Generator[None, None, float]:
-        """Do what `update` does, in slices of at most about 100 µs with a yield between them; return delta.
+    def updating(self, transition: Transition) -> Generator[bool | None, None, float]:
+        """Do what `update` does, in slices of at most about 50 µs with a yield between them; return delta.
 
         It is cut at fixed points of the work: where, and for how long, it is left changes no bit of the result.
+        It yields True where the slice that follows leaves all action values alone: a thread may then go on with it
+        while an action is chosen.
         """
 
 

@@ -50,14 +50,15 @@ class WithHorde:
         self.horde.update(_for_horde(transition))
         return delta
 
-    def updating(self, transition: Transition) -> Generator[None, None, float]:
-        """Do what `update` does, in slices."""
+    def updating(self, transition: Transition) -> Generator[bool | None, None, float]:
+        """Do what `update` does, in slices; those of the Horde leave the action values alone."""
         if isinstance(self.control, SlicedLearner):
             delta = yield from self.control.updating(transition)
         else:
             delta = self.control.update(transition)
-        yield
-        yield from self.horde.updating(_for_horde(transition))
+        yield True
+        for _ in self.horde.updating(_for_horde(transition)):
+            yield True
         return delta
 
     def errors(self) -> Mapping[str, PredictionErrors]:
