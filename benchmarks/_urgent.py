@@ -7,19 +7,32 @@ from math import sin
 
 import numpy as np
 from numpy.random import Generator
-from rtagent_drivers.fake import FakeDevice
 
-from rtagent import Agent, DeviceSpec, Limits, Observation, Outcome, Plan, Result, Sample, Schedule, Spec, Stimulus
-from rtagent import Transition, run  # fmt: skip
+from rtagent import (
+    Agent,
+    DeviceSpec,
+    Limits,
+    Observation,
+    Outcome,
+    Plan,
+    Result,
+    Sample,
+    Schedule,
+    Spec,
+    Stimulus,
+    Transition,
+    run,
+)
 from rtagent.experience import Command, Values
 from rtagent.features import Tabular
 from rtagent.learning import Sarsa
 from rtagent.policy import EpsilonGreedy
 from rtagent.units import ms, second
+from rtagent_drivers.fake import FakeDevice
 
 TURN = 100 * ms
 PERIOD, COST = 5 * ms, 2 * ms
-"""A transition comes every 5 ms and takes 2 ms to learn: more than a third of the time, where half of it is calm."""
+"""A transition comes every 5 ms and takes 2 ms to learn: 40 % of the time, of which half is calm."""
 LENGTH = 60 * second
 
 

@@ -208,8 +208,10 @@ class SupervisedDevice:
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample; say whether there is one."""
         if self._watching is not None:
-            if not self._watching.done():
-                await asyncio.wait({self._watching}, timeout=limit / second)
+            found = self._take_watched()
+            if found is not None:
+                return found
+            await asyncio.wait({self._watching}, timeout=limit / second)
             return await self.refresh()
         if self._reads.failing_since is not None:
             now = self._clock.now()
