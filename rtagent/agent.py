@@ -31,7 +31,8 @@ class Decision(NamedTuple):
 class Agent:
     """What learns and chooses. Without a policy it only predicts.
 
-    `queue` holds complete transitions that were not learned yet, the oldest first.
+    `queue` holds complete transitions that were not learned yet, the oldest first; `not_kept` counts those that
+    came while it was told to keep none.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class Agent:
         self.rng = rng if rng is not None else np.random.default_rng()
         self.queue: deque[Transition] = deque()
         self.keeps_transitions = True
+        self.not_kept = 0
         self.begin()
 
     def begin(self) -> None:
@@ -180,3 +182,5 @@ class Agent:
         if self.keeps_transitions:
             transition.complete_at = time
             self.queue.append(transition)
+        else:
+            self.not_kept += 1

@@ -76,6 +76,11 @@ class Learn:
             object.__setattr__(self, name, kind(value))
         if self.slice < 0:
             raise ScheduleError("learn.slice is negative: give a time, or 0 for none.")
+        if self.where is Where.THREAD and (self.slice or self.when is When.CALM):
+            raise ScheduleError(
+                'a thread learns all the time, and in the pieces that its learner has: with learn.where = "thread" '
+                'set learn.when = "always" and learn.slice = 0.'
+            )
         if self.queue < 1:
             raise ScheduleError(f"learn.queue is {self.queue}: give room for 1 transition or more.")
 

@@ -125,6 +125,7 @@ class _Life:
         try:
             with _signals() as signalled:
                 end = await self._until_end(work, signalled)
+                ended = self._clock.now()
                 await self._make_safe()
                 await self._drain(end)
         except asyncio.CancelledError:
@@ -133,7 +134,9 @@ class _Life:
             raise
         finally:
             self._guard.close()
-        return self._conclude(end)
+            if self._running is not None:
+                self._running.work.close()
+        return self._conclude(end, ended)
 
     async def _work(self) -> None:
         for device in self._devices.values():
@@ -146,7 +149,7 @@ class _Life:
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
             if trial < self._plan.trials - 1:
-                await runtime.work.drain(None)
+                await runtime.drain(None)
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
         return Runtime(
@@ -201,25 +204,23 @@ class _Life:
             return
         may_learn = end is None or end.source != "run"
         bounded = self._clock.now() + (self._plan.drain if may_learn else 0)
-        await self._running.work.drain(None if end is None else bounded)
-        self._running.work.close()
+        await self._running.drain(None if end is None else bounded)
 
-    def _learning_failed(self, error: Exception) -> None:
+    def _learning_failed(self, error: BaseException) -> None:
         """Note that learning is over; the run goes on with the weights it has."""
         message = f"learning raised {_sentence(error)}; the run went on with the weights that it had"
         now, trace = self._clock.now(), "".join(traceback.format_exception(error))
         self._recorder.fault(Fault(now - self._began, LEARNING, message, False, trace))
         self._hooks.call("fault", LEARNING, message, now)
 
-    def _conclude(self, end: _End | None) -> Result:
+    def _conclude(self, end: _End | None, ended: int) -> Result:
         self._recorder.counters["instruments_removed"] += len(self._hooks.removed)
         for sentence in self._hooks.removed:
             self._report("instrument", sentence)
         for sentence in self._not_safe:
             self._report("stop", sentence)
         if end is not None:
-            now = self._clock.now() - self._began
-            self._recorder.fault(Fault(now, end.source, end.message, True, end.trace()))
+            self._recorder.fault(Fault(ended - self._began, end.source, end.message, True, end.trace()))
         self._recorder.elapsed = self._clock.now() - self._began
         result = Result(
             self._plan.seed,

@@ -16,7 +16,14 @@ from rtagent.schedule import Component, Schedule
 from rtagent.series import Series
 from rtagent.summary import Summary
 
-HOW_LEARNED = ("learned_in_place", "learned_deferred", "learned_under_backpressure", "transitions_shed")
+HOW_LEARNED = {
+    "in place": "learned_in_place",
+    "deferred": "learned_deferred",
+    "under backpressure": "learned_under_backpressure",
+    "shed": "transitions_shed",
+}
+"""What may become of a transition, in words, and the counter of it."""
+
 LEARNING = "learning"
 """The source of faults of learning."""
 
@@ -27,6 +34,30 @@ class RunError(RtagentError):
     def __init__(self, message: str, result: Result) -> None:
         super().__init__(message)
         self.result = result
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How transitions were learned.
+
+    The age of the oldest that waited, as seen at observations; the lengths of slices; which share of the time went
+    into it; and what became of how many.
+    """
+
+    oldest_age: Summary
+    slices: Summary
+    share: float
+    counts: Mapping[str, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data for JSON; times are in seconds."""
+        counts = {HOW_LEARNED[how]: count for how, count in self.counts.items()}
+        return {
+            "oldest_age": self.oldest_age.in_seconds(),
+            "slices": self.slices.in_seconds(),
+            "share": self.share,
+            **counts,
+        }
 
 
 @dataclass
@@ -114,14 +145,15 @@ class Result:
         kept = pieces.values()
         return self.recorder.learning_time + (sum(kept) / len(kept) * pieces.count if kept else 0.0)
 
-    def _learning_dict(self) -> dict[str, Any]:
+    def learning(self) -> Learning:
+        """Return how transitions were learned."""
         recorder = self.recorder
-        return {
-            "oldest_age": _summary(recorder.queue_age).in_seconds(),
-            "slices": _summary(recorder.slices).in_seconds(),
-            "share": self._learning_time() / recorder.elapsed if recorder.elapsed else 0.0,
-            **{how: recorder.counters[how] for how in HOW_LEARNED},
-        }
+        return Learning(
+            _summary(recorder.queue_age),
+            _summary(recorder.slices),
+            self._learning_time() / recorder.elapsed if recorder.elapsed else 0.0,
+            {how: recorder.counters[counter] for how, counter in HOW_LEARNED.items()},
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; times are in seconds."""
@@ -137,7 +169,7 @@ class Result:
             "components": {name: summary.in_seconds() for name, summary in self.components().items()},
             "sample_age": _summary(self.recorder.sample_age).in_seconds(),
             "queue_length": {"median": queue.median, "max": queue.maximum},
-            "learning": self._learning_dict(),
+            "learning": self.learning().as_dict(),
             "counters": dict(sorted(self.recorder.counters.items())),
             "devices": {name: dict(sorted(counts.items())) for name, counts in self.device_counters.items()},
             "faults": [_fault_dict(fault) for fault in self.faults],

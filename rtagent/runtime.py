@@ -95,7 +95,7 @@ class Runtime:
         costs: Costs,
         costs_rng: RandomGenerator,
         limits: Limits,
-        learning_failed: Callable[[Exception], None],
+        learning_failed: Callable[[BaseException], None],
         habits: Habits,
     ) -> None:
         self._devices, self._calm = devices, habits.calm
@@ -112,9 +112,14 @@ class Runtime:
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        costs_learning = bool(schedule.learn_delay) or LEARN in self._costs
         desk = Desk(
-            clock, recorder, costs_learning, self._learning_cost, self._newest, self._learned, learning_failed
+            clock,
+            recorder,
+            self._learning_cost,
+            self._newest,
+            self._learned,
+            learning_failed,
+            costs=bool(schedule.learn_delay) or LEARN in self._costs,
         )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),
@@ -124,7 +129,7 @@ class Runtime:
             on_thread=habits.place_learner,
         )
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
-        self._components[LEARN] = self.work.learn
+        self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
         if self._idling:
             self._idling.learning = self.work.next_event
 
@@ -163,10 +168,10 @@ class Runtime:
         while not self._over:
             if paced:
                 await self._wait_for_cycle()
-            elif self.work.called:
-                self.work.called = False
-            else:
+            elif self._in_one_piece or not self.work.called:
                 await yield_once()
+            else:  # learning has left off after a round of the loop
+                self.work.called = False
             self._mark = self._now()
             for component in chooser.cycle(self):
                 await self._components[component]()
@@ -181,6 +186,7 @@ class Runtime:
 
     async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
         for device in self._devices.values():
+            device.stop_watching()
             if isinstance(device.device, Episodic):
                 begun = device.device.begin_episode(rngs[device.name])
                 await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
@@ -285,6 +291,17 @@ class Runtime:
             if reactions and "reacted" in self._heard:
                 for reaction in reactions:
                     self._hooks.note("reacted", reaction)
+        self._tell()
+
+    async def _learn(self) -> None:
+        """Learn; what comes next in the cycle begins then."""
+        await self.work.learn()
+        self._mark = self._now()
+
+    async def drain(self, deadline: int | None) -> None:
+        """Learn what is left after the last episode, until `deadline` (ns; None: all of it)."""
+        self._mark = self._now()
+        await self.work.drain(deadline)
         self._tell()
 
     # What learning asks and tells

@@ -31,6 +31,8 @@ class Senses:
         sampled = self._waits and all(device.device.spec.rate for device in devices)
         self.paced = bool(schedule.period) or sampled
         """Whether a cycle always waits for its time, or for a sample that comes by itself."""
+        self.synchronous = any(device.device.spec.synchronous for device in devices)
+        """Whether something is new only after an act."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:

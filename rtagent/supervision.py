@@ -95,6 +95,8 @@ class SupervisedDevice:
         self._reopening: asyncio.Task[None] | None = None
         self.sample: Sample | None = None
         self.sequence = -1
+        self._observed: Sample | None = None
+        self._seen = -1
         self._stimuli_until = 0
         self.as_of_now = not device.spec.rate
         self._watching: asyncio.Task[Sample] | None = None
@@ -112,16 +114,19 @@ class SupervisedDevice:
     def begin_episode(self, time: int) -> None:
         """Forget the samples of before `time`, when the device was brought to the start of an episode."""
         self.stop_watching()
-        self.sample = None
-        self.sequence = -1
+        self.sample = self._observed = None
+        self.sequence = self._seen = -1
         self._stimuli_until = time - 1
 
-    async def read(self, newer_than: int) -> bool:
-        """Take the newest sample; say whether it is new. Errors are counted; raises `DeadDeviceError`."""
+    async def read(self, newer_than: int, limit: int = 0) -> bool:
+        """Read the newest sample, within `limit` (ns; 0: what is left of the budget); say whether it is a new one.
+
+        Errors are counted; raises `DeadDeviceError`.
+        """
         reads = self._reads
         if self._troubled and not self._may_call(reads):
             return False
-        self._guard.arm(self._budget(reads), self._reading)
+        self._guard.arm(limit or self._budget(reads), self._reading)
         try:
             sample = await self.device.read(newer_than)
         except BaseException as error:
@@ -138,14 +143,14 @@ class SupervisedDevice:
     def watch(self) -> asyncio.Task[Sample] | None:
         """Begin to wait for a new sample, unless that is going on; return what waits (None: nothing can)."""
         if self._watching is None and not self.as_of_now and not self.failing:
-            self._watching = asyncio.ensure_future(self.device.read(self.sequence))
-            self._watch_ends = self._clock.now() + self.supervision.timeout
+            self._watching = asyncio.ensure_future(self.device.read(self._seen))
+            self._watch_ends = self._clock.now() + self.supervision.timeout // 2
         return self._watching
 
     def news(self, now: int) -> bool:
-        """Say whether a new sample has come, or the world has changed, or it is time to try again."""
+        """Say whether a new sample has come, or the world has changed, or it is time to see to the device."""
         if self._watching is not None:
-            return self._watching.done()
+            return self._watching.done() or now >= self._watch_ends
         event = self.next_news()
         return event is not None and now >= event
 
@@ -156,19 +161,16 @@ class SupervisedDevice:
         """
         if self.failing:
             return self._reads.retry_at
-        if not self.as_of_now or self.sample is None:
+        if not self.as_of_now or self._observed is None:
             return None
         if self._foreseeing is not None:
-            return self._foreseeing.next_event(self.sample.arrival_time)
-        return None if self.device.spec.synchronous else self.sample.arrival_time
+            return self._foreseeing.next_event(self._observed.arrival_time)
+        return None if self.device.spec.synchronous else self._observed.arrival_time
 
     async def newest(self) -> Sample | None:
-        """Return the newest sample there is, without taking it as observed unless it is read as of now."""
-        if self.as_of_now:
+        """Return the newest sample there is; it is not observed yet."""
+        if self.as_of_now or (self._watching is not None and self._watching.done()):
             await self.read(-1)
-        elif self._watching is not None and self._watching.done() and self._watching.exception() is None:
-            sample = self._watching.result()
-            return sample if self._valid(sample.values) else self.sample
         return self.sample
 
     @property
@@ -182,63 +184,74 @@ class SupervisedDevice:
         if watching is not None and not watching.cancel() and not watching.cancelled():
             watching.exception()  # seen: nobody else will ask for it
 
-    def _take_watched(self) -> bool | None:
-        """Take what the watch found; say whether it is new, or None where it still waits or there is none."""
-        watching = self._watching
-        if watching is None or not watching.done():
-            return None
-        self._watching = None
-        return self.take(watching)
-
     async def refresh(self) -> bool:
-        """Take the newest sample; say whether it is new.
-
-        A watch that goes on for longer than the retry budget is ended: a device that hangs answers no read either.
-        """
-        if self._watching is None or self._give_up_watch():
-            return await self.read(-1)
-        return self._take_watched() or False
-
-    def _give_up_watch(self) -> bool:
-        if self._watching is None or self._watching.done() or self._clock.now() < self._watch_ends:
-            return False
-        self.stop_watching()
-        return True
+        """Observe the newest sample; say whether it is new."""
+        watching = self._watching
+        if watching is None:
+            await self.read(-1)
+        elif watching.done():
+            self._watching = None
+            self._take(watching)
+            await self.read(-1)  # what the watch found may have been followed by others
+        elif self._clock.now() >= self._watch_ends:
+            await self._examine()
+        return self._observe()
 
     async def wait(self, limit: int) -> bool:
-        """Wait at most `limit` (ns) for a new sample; say whether there is one."""
-        if self._watching is not None:
-            found = self._take_watched()
-            if found is not None:
-                return found
-            await asyncio.wait({self._watching}, timeout=limit / second)
+        """Wait at most `limit` (ns) for a new sample, and observe it; say whether there is one."""
+        if self._watching is not None and not self._watching.done():
+            if self._clock.now() >= self._watch_ends:
+                await self._examine()
+            else:
+                await asyncio.wait({self._watching}, timeout=limit / second)
+                if not self._watching.done():
+                    self.stop_watching()
+                return await self.refresh()
+        if self._watching is not None or self.sample is not self._observed:
             return await self.refresh()
         if self._reads.failing_since is not None:
             now = self._clock.now()
             await self._clock.sleep_until(min(max(self._reads.retry_at, now + FIRST_PAUSE), now + limit))
-            return await self.read(-1)
+            await self.read(-1)
+        else:
+            await self._read_next(limit)
+        return self._observe()
+
+    async def _read_next(self, limit: int) -> None:
+        """Read the sample after the last one; after `limit` (ns) the newest there is."""
         self._guard.arm(limit, self._reading)
         try:
-            sample = await self.device.read(self.sequence)
+            sample = await self.device.read(self._seen)
         except BaseException as error:
             failure = self._guard.explained(error)
         else:
-            return self._accept(sample)
+            self._accept(sample)
+            return
         finally:
             self._guard.disarm()
         if isinstance(failure, TimeoutError):
-            return await self.read(-1)
-        self._failed("read", self._reads, failure)
-        return False
+            await self.read(-1)
+        else:
+            self._failed("read", self._reads, failure)
 
-    def take(self, reading: asyncio.Task[Sample]) -> bool:
-        """Take the sample of a finished reading; say whether it is new."""
+    async def _examine(self) -> None:
+        """End a watch that has gone on for half of the retry budget; a device that hangs answers no read either."""
+        self.stop_watching()
+        await self.read(-1, self.supervision.timeout // 2)
+
+    def _observe(self) -> bool:
+        """Note that the newest sample is observed; say whether it is new."""
+        new = self.sample is not self._observed
+        self._observed, self._seen = self.sample, self.sequence
+        return new
+
+    def _take(self, reading: asyncio.Task[Sample]) -> None:
+        """Take the sample of a finished reading."""
         error = reading.exception()
         if error is None:
-            return self._accept(reading.result())
-        if isinstance(error, Exception):
+            self._accept(reading.result())
+        elif isinstance(error, Exception):
             self._failed("read", self._reads, error)
-        return False
 
     @property
     def failing(self) -> bool:

@@ -18,18 +18,19 @@ IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "le
 
 @dataclass
 class Desk:
-    """What learning needs of the run: its clock and recorder, what a transition costs (ns, if any), whom to tell.
+    """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
+    Where nothing `costs` anything, `cost` is always 0.
     """
 
     clock: Clock
     recorder: Recorder
-    costs: bool
     cost: Callable[[], int]
     observed_at: Callable[[], int]
     learned: Callable[[Transition, float], None]
-    failed: Callable[[Exception], None]
+    failed: Callable[[BaseException], None]
+    costs: bool = True
 
 
 class Update:
@@ -42,15 +43,16 @@ class Update:
         self.apart = False
         """Whether the piece that follows leaves all action values alone."""
         self._learner = learner
+        self._sliced = sliced and hasattr(learner, "updating")
         self._pieces: Generator[bool | None, None, float] | None = None
-        if sliced and hasattr(learner, "updating"):
-            self._pieces = learner.updating(transition)
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
-        if self._pieces is None:
+        if not self._sliced:
             self.delta = self._learner.update(self.transition)
             return True
+        if self._pieces is None:
+            self._pieces = self._learner.updating(self.transition)
         try:
             self.apart = bool(next(self._pieces))
         except StopIteration as done:
@@ -103,21 +105,24 @@ class Backlog:
         self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)
 
-    def give_up(self, error: Exception) -> None:
+    def give_up(self, error: BaseException) -> None:
         """End learning, not acting."""
         self.failed, self.current = True, None
-        self.lost(1 + len(self.queue))
-        self.queue.clear()
-        self._agent.keeps_transitions = False
+        self._agent.keeps_transitions, self._agent.not_kept = False, 0
+        self.leave(1 + len(self.queue))
         self.desk.failed(error)
 
     def count(self, how: str, transitions: int = 1) -> None:
         """Count how transitions were learned."""
         self._counters[how] += transitions
 
-    def lost(self, transitions: int) -> None:
-        """Count transitions that are not learned."""
-        self._counters["transitions_not_learned"] += transitions
+    def leave(self, transitions: int) -> None:
+        """Count what is not learned: so many that wait, and what came after learning had failed."""
+        self.queue.clear()
+        self.count("transitions_not_learned", transitions)
+        if self.failed:
+            self.count("transitions_not_learned", self._agent.not_kept)
+            self._agent.not_kept = 0
 
     def shed(self) -> None:
         """Drop the newest transition; the traces are cut there."""

@@ -24,7 +24,7 @@ class Processor(Protocol):
     gate: AbstractContextManager[Any]
     weights: AbstractContextManager[Any]
 
-    def start(self, backlog: Backlog, over: Callable[[Update, Exception | None], None]) -> None:
+    def start(self, backlog: Backlog, over: Callable[[Update, BaseException | None], None]) -> None:
         """Begin to work."""
 
     def wake(self) -> None:
@@ -81,7 +81,7 @@ class Elsewhere:
             return
         if backlog.sheds:
             with self._processor.gate:
-                if backlog.overfull:
+                while backlog.overfull:
                     backlog.shed()
             return
         self._processor.wake()
@@ -90,16 +90,13 @@ class Elsewhere:
             await asyncio.wait({self._progress})
         self._pressed = False
 
-    async def finish(self) -> None:
-        """Learn all that is left."""
-        await self._learn_until(None)
-
     async def drain(self, deadline: int | None) -> None:
-        """Learn what is left until `deadline` (ns; None: all of it)."""
+        """Learn what is left until `deadline` (ns; None: all of it); the rest is counted."""
         await self._learn_until(deadline)
         self._processor.close()
-        self.backlog.lost(self.length)
-        self._queue.clear()
+        await asyncio.sleep(0)  # so that what was over before is told
+        self.backlog.leave(self.length)
+        self._over = self._processor.taken
 
     def close(self) -> None:
         """End learning."""
@@ -111,7 +108,7 @@ class Elsewhere:
             left = None if deadline is None else (deadline - self._clock.now()) / second
             await asyncio.wait({self._progress}, timeout=left)
 
-    def _end(self, update: Update, error: Exception | None) -> None:
+    def _end(self, update: Update, error: BaseException | None) -> None:
         """Note, on the loop, that an update is over."""
         self._over += 1
         self.backlog.desk.recorder.learning_time += update.spent

@@ -75,11 +75,6 @@ class Inline:
             else:
                 await self._learn_one(UNDER_PRESSURE)
 
-    async def finish(self) -> None:
-        """Learn all that is left."""
-        while len(self.backlog):
-            await self._learn_one(DEFERRED)
-
     async def drain(self, deadline: int | None) -> None:
         """Learn what is left, without what it is said to cost, until `deadline` (ns; None: all of it)."""
         backlog = self.backlog
@@ -89,8 +84,7 @@ class Inline:
                 pass
             backlog.end(update, DEFERRED)
         backlog.count(IN_PLACE, self._in_place)
-        backlog.lost(len(backlog))
-        self._queue.clear()
+        backlog.leave(len(backlog))
 
     def next_event(self, now: int) -> int | None:
         """Return when learning will have got further by itself: never, on the loop."""
@@ -152,6 +146,12 @@ class InLoop(Inline):
         if self.backlog.current is not None:
             self.backlog.current.suspended = True
 
+    async def _learn_one(self, how: str = "") -> None:
+        began = self._clock.now()
+        await super()._learn_one(how)
+        if self._slice:
+            self._recorder.learning_time += self._clock.now() - began
+
     async def _learn_slice(self) -> None:
         """Learn for the length of a slice, by what the last piece took; an algorithm says where its pieces end."""
         now, update = self._clock.now, self.backlog.begin(sliced=True)
@@ -172,8 +172,9 @@ class InLoop(Inline):
 
     async def _wait_while_urgent(self) -> None:
         """Wait for news where no device paces the cycle: the same again would only fill the queue."""
-        if not self._senses.paced and not self._senses.news():
-            await self._senses.wait_for_news(self._never)
+        senses = self._senses
+        if not (senses.paced or senses.synchronous or senses.news()):
+            await senses.wait_for_news(self._never)
 
     async def _is_urgent(self) -> bool:
         await look(self._ready)

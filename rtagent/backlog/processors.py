@@ -14,7 +14,7 @@ from rtagent.clock import occupy
 JOIN_TIMEOUT = 1.0
 """So long (s) is waited for a thread whose learner does not return."""
 
-Over = Callable[[Update, Exception | None], None]
+Over = Callable[[Update, BaseException | None], None]
 
 
 class LearnerThread:
@@ -56,8 +56,11 @@ class LearnerThread:
             self._waiting.acquire()
             while not self._closing and (update := self._take()) is not None:
                 error = self._learn(update)
-                if not self._closing:
-                    self._loop.call_soon_threadsafe(self._over, update, error)
+                if self._closing:
+                    return
+                self._loop.call_soon_threadsafe(self._over, update, error)
+                if error is not None:
+                    return
 
     def _take(self) -> Update | None:
         with self.gate:
@@ -65,13 +68,13 @@ class LearnerThread:
             self.taken += self.update is not None
         return self.update
 
-    def _learn(self, update: Update) -> Exception | None:
+    def _learn(self, update: Update) -> BaseException | None:
         began = self._backlog.desk.clock.now()
         occupy(update.cost)
         try:
             while not self._closing and not self._step(update):
                 pass
-        except Exception as error:
+        except BaseException as error:  # a thread that ended without a word would be waited for
             return error
         finally:
             update.spent = self._backlog.desk.clock.now() - began

@@ -39,9 +39,6 @@ class Work(Protocol):
     async def relieve(self) -> None:
         """See to it that no more transitions wait than may."""
 
-    async def finish(self) -> None:
-        """Learn all that is left."""
-
     async def drain(self, deadline: int | None) -> None:
         """Learn what is left until `deadline` (ns; None: all of it); the rest is counted."""
 

@@ -31,6 +31,7 @@ def print_report(result: Result, out: TextIO) -> None:
         for line in histogram(result.reaction_times):
             console.print(line)
     _print_returns(console, result)
+    _print_learning(console, result)
     _print_predictions(console, result)
     _print_counters(console, result)
     shown = _shown(result.faults)
@@ -90,6 +91,18 @@ def _print_returns(console: Console, result: Result) -> None:
             f"\nreturn: mean {np.mean(returns):.4g} over {len(returns)} episodes, "
             f"{np.mean(last):.4g} over the last {len(last)}"
         )
+
+
+def _print_learning(console: Console, result: Result) -> None:
+    """Print how transitions were learned, where that is more than in place and in one piece."""
+    learning = result.learning()
+    happened = {how: count for how, count in learning.counts.items() if count}
+    if happened.keys() <= {"in place"} and not learning.slices.count:
+        return
+    told = ", ".join(f"{count:,} {how}" for how, count in happened.items())
+    slices = learning.slices
+    cut = f"; slices: median {describe(slices.median)}, p99 {describe(slices.p99)}" if slices.count else ""
+    console.print(f"\nlearning: {learning.share:.0%} of the time; {told}{cut}")
 
 
 def _print_predictions(console: Console, result: Result) -> None:
