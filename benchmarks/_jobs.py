@@ -30,7 +30,7 @@ from rtagent.units import ms, second, us
 SHORTEST, LONGEST = 0.001, 0.003
 """The interval between two events, in seconds: 500 a second in the mean."""
 
-JOB, PIECE = 500 * ms, 40 * us
+JOB, PIECE = 500 * ms, 35 * us
 WARM_UP = 20
 """So many first events of an episode are left out."""
 
@@ -94,7 +94,7 @@ class EventDevice(PipeDevice):
 
 
 class Work:
-    """Pieces of real work without the GIL, each of some 40 µs; `done` counts them."""
+    """Pieces of real work without the GIL, each of some 35 µs; `done` counts them."""
 
     def __init__(self) -> None:
         self._bytes = bytes(1 << 16)
@@ -158,7 +158,7 @@ def job() -> Transition:
 
 
 class Log:
-    """Keeps objects of each reaction, as a user's instrument may: garbage collection has more and more to look at."""
+    """Keeps objects of each reaction, as a user's instrument may: garbage collection has ever more to look at."""
 
     def __init__(self, objects: int) -> None:
         self._objects = objects

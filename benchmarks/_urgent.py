@@ -8,7 +8,7 @@ from math import sin
 import numpy as np
 from numpy.random import Generator
 
-from rtagent import (  # fmt: skip
+from rtagent import (
     Agent,
     DeviceSpec,
     Limits,
@@ -32,7 +32,7 @@ from rtagent_drivers.fake import FakeDevice
 
 TURN = 100 * ms
 PERIOD, COST = 5 * ms, 2 * ms
-"""A transition comes every 5 ms and takes 2 ms to learn: more than a third of the time, where half of it is calm."""
+"""A transition comes every 5 ms and takes 2 ms to learn: 40 % of the time, of which half is calm."""
 LENGTH = 60 * second
 
 
