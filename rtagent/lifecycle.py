@@ -28,6 +28,7 @@ from rtagent.streams import stream
 from rtagent.supervision import SupervisedDevice, Supervision, close_all, make_all_safe
 from rtagent.task import Task
 from rtagent.units import ms, second
+from rtagent.urgency import check_urgency
 
 GIVE_UP_TIMEOUT = 1 * second
 """A run that was told to stop, and waits for something that does not yield, is left behind after this."""
@@ -116,7 +117,9 @@ class _Life:
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
-        task.bind({name: device.spec for name, device in devices.items()})
+        specs = {name: device.spec for name, device in devices.items()}
+        task.bind(specs)
+        check_urgency(schedule.learn, task, self._first_agent.learner, specs)
         if self._clock.virtual:
             refuse_stuck(devices, schedule, costs, plan)
 
@@ -208,7 +211,7 @@ class _Life:
 
     def _learning_failed(self, error: BaseException) -> None:
         """Note that learning is over; the run goes on with the weights it has."""
-        message = f"learning raised {_sentence(error)}; the run went on with the weights that it had"
+        message = f"learning raised {_sentence(error).rstrip('.')}; the run went on with the weights that it had"
         now, trace = self._clock.now(), "".join(traceback.format_exception(error))
         self._recorder.fault(Fault(now - self._began, LEARNING, message, False, trace))
         self._hooks.call("fault", LEARNING, message, now)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rtagent.clock import Clock
-from rtagent.errors import DeviceError, ScheduleError, did_you_mean
+from rtagent.errors import DeviceError
 from rtagent.experience import Observation, Sample, Stimulus
 from rtagent.recorder import Recorder
 from rtagent.schedule import Schedule, Wait
@@ -128,17 +128,6 @@ class Senses:
         """Return the newest sample of every device that has one, also those not observed yet."""
         found = {device.name: await device.newest() for device in self._devices}
         return {name: sample for name, sample in found.items() if sample is not None}
-
-    def check_sensor(self, signal: str) -> None:
-        """Raise `ScheduleError` unless `signal` is a "device.sensor" that is one number."""
-        known = {
-            f"{device.name}.{sensor}"
-            for device in self._devices
-            for sensor, spec in device.device.spec.sensors.items()
-            if not spec.shape
-        }
-        if signal not in known:
-            raise ScheduleError(f"learn.urgent: there is no signal {signal!r}{did_you_mean(signal, sorted(known))}")
 
     def _new_stimuli(self) -> Sequence[Stimulus]:
         return [stimulus for device in self._stimulating for stimulus in device.new_stimuli()]

@@ -26,6 +26,8 @@ FIRST_PAUSE = 1 * ms
 LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
 SAFE_TIMEOUT = 1 * second
+JUST_NOW = 1 * ms
+"""A sample that arrived no longer ago is the newest, or the next follows at once."""
 NO_STIMULI: Sequence[Stimulus] = ()
 
 
@@ -192,7 +194,8 @@ class SupervisedDevice:
         elif watching.done():
             self._watching = None
             self._take(watching)
-            await self.read(-1)  # what the watch found may have been followed by others
+            if self.sample is None or self._clock.now() - self.sample.arrival_time > JUST_NOW:
+                await self.read(-1)  # what the watch found may have been followed by others
         elif self._clock.now() >= self._watch_ends:
             await self._examine()
         return self._observe()

@@ -107,6 +107,44 @@ class DeviceContract:
 
         self._with_open_device(check)
 
+    def test_it_acts_while_a_read_waits(self) -> None:
+        """`act` works while a `read` waits for a newer sample."""
+
+        async def check(device: Device) -> None:
+            rng, last = np.random.default_rng(2), await device.read(-1)
+            reading = asyncio.ensure_future(device.read(last.sequence + 1_000_000))
+            for name, spec in device.spec.actuators.items():
+                command = {name: spec.generate(rng)}
+                acting = asyncio.ensure_future(device.act(command))
+                done, _ = await asyncio.wait({acting}, timeout=1.0)
+                must(bool(done), "act waited for the end of a read that waits for a newer sample.")
+                _check_sent(device, command, acting.result())
+            reading.cancel()
+            await asyncio.wait({reading}, timeout=1.0)
+
+        self._with_open_device(check)
+
+    def test_a_read_goes_on_waiting_after_an_act(self) -> None:
+        """A `read` that waited for a newer sample while the device acted still returns one."""
+
+        async def check(device: Device) -> None:
+            if not self.samples_by_itself:
+                return
+            rng, last = np.random.default_rng(3), await device.read(-1)
+            for name, spec in device.spec.actuators.items():
+                reading = asyncio.ensure_future(device.read(last.sequence))
+                await asyncio.sleep(0)
+                await device.act({name: spec.generate(rng)})
+                sample = await reading
+                must(
+                    sample.sequence > last.sequence,
+                    f"read({last.sequence}) returned number {sample.sequence} after an act: it must go on waiting.",
+                )
+                _check_sample(device, sample)
+                last = sample
+
+        self._with_open_device(check)
+
     def test_act_returns_what_was_sent(self) -> None:
         """A valid command is taken, and what was sent lies within the limits."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from rtagent.agent import Agent
 from rtagent.errors import ScheduleError, did_you_mean
 from rtagent.learn import Learn, When
 from rtagent.senses import Senses
+from rtagent.specs import DeviceSpec
 from rtagent.task import Task, Urging
 
 
@@ -25,16 +26,13 @@ class Foretelling(Protocol):
 
 
 class Urgency:
-    """Says whether the newest state is urgent: by a condition on a sensor or a prediction, else by the task.
-
-    Raises `ScheduleError` where learning waits for calm and nothing says what is urgent.
-    """
+    """Says whether the newest state is urgent: by a condition on a sensor or a prediction, else by the task."""
 
     def __init__(self, rules: Learn, task: Task, agent: Agent, senses: Senses) -> None:
         self._condition, self._agent, self._senses = rules.urgent, agent, senses
         self._task = task if isinstance(task, Urging) else None
-        if rules.when is When.CALM:
-            self._check()
+        self.by_prediction = rules.urgent is not None and bool(rules.urgent.prediction)
+        """Whether only an observation, and no sample alone, can become urgent."""
 
     async def __call__(self) -> bool:
         """Ask now."""
@@ -49,22 +47,35 @@ class Urgency:
         device, _, sensor = condition.signal.partition(".")
         return condition.holds(float((await self._senses.newest())[device].values[sensor]))
 
-    def _check(self) -> None:
-        condition = self._condition
-        if condition is None:
-            if self._task is None:
-                raise ScheduleError(
-                    "learning waits for calm, but the task does not say what is urgent: give it learn.urgent."
-                )
-        elif condition.prediction:
-            self._check_prediction(condition.prediction)
-        else:
-            self._senses.check_sensor(condition.signal)
 
-    def _check_prediction(self, name: str) -> None:
-        learner = self._agent.learner
-        if not isinstance(learner, Foretelling):
-            raise ScheduleError(f"learn.urgent asks for the prediction {name!r}, and this learner has no demons.")
-        names = learner.names
-        if name not in names:
-            raise ScheduleError(f"learn.urgent asks for the prediction {name!r}{did_you_mean(name, list(names))}")
+def check_urgency(rules: Learn, task: Task, learner: object, devices: Mapping[str, DeviceSpec]) -> None:
+    """Raise `ScheduleError` where learning waits for calm and nothing says what is urgent, or a name is unknown."""
+    condition = rules.urgent
+    if condition is None:
+        if rules.when is When.CALM and not isinstance(task, Urging):
+            raise ScheduleError(
+                "learning waits for calm, but the task does not say what is urgent: give it learn.urgent."
+            )
+    elif condition.prediction:
+        _check_prediction(condition.prediction, learner)
+    else:
+        _check_signal(condition.signal, devices)
+
+
+def _check_prediction(name: str, learner: object) -> None:
+    if not isinstance(learner, Foretelling):
+        raise ScheduleError(f"learn.urgent asks for the prediction {name!r}, and this learner has no demons.")
+    names = list(learner.names)
+    if name not in names:
+        raise ScheduleError(f"learn.urgent: there is no prediction {name!r}{did_you_mean(name, names)}")
+
+
+def _check_signal(signal: str, devices: Mapping[str, DeviceSpec]) -> None:
+    known = [
+        f"{device}.{name}"
+        for device, spec in devices.items()
+        for name, sensor in spec.sensors.items()
+        if not sensor.shape
+    ]
+    if signal not in known:
+        raise ScheduleError(f"learn.urgent: there is no signal {signal!r}{did_you_mean(signal, sorted(known))}")

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from rtagent import Agent, Spec, clock, ms, us
 from rtagent.backlog import Backlog, Desk, InLoop, Work, make_work, yield_once
-from rtagent.errors import ScheduleError
+from rtagent.errors import ScheduleError, SpecError
 from rtagent.experience import FeatureVector, FloatArray, Sample, Transition
 from rtagent.features import Tabular
 from rtagent.learn import Full, Learn, When, Where
@@ -99,16 +99,20 @@ class Told:
 
     def desk(self, cost: int = 0, own_clock: Any = None) -> Desk:
         at = own_clock or clock.current()
-        return Desk(at, self.recorder, cost > 0, lambda: cost, lambda: 0, self.learned, self.errors.append)
+        return Desk(at, self.recorder, lambda: cost, lambda: 0, self.learned, self.errors.append, costs=cost > 0)
 
 
 class Never:
+    by_prediction = False
+
     async def __call__(self) -> bool:
         return False
 
 
 class AtRandom:
     """Urgent at random."""
+
+    by_prediction = False
 
     def __init__(self, rng: RNG) -> None:
         self._rng = rng
@@ -643,3 +647,19 @@ def test_no_thread_is_left(clock_name: clock.ClockName) -> None:
 def test_a_rule_that_cannot_work_is_refused(settings: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ScheduleError, match=sentence):
         Learn(**settings)
+
+
+@pytest.mark.parametrize("form", ["compiled", "plain"])
+@pytest.mark.parametrize("name", SCALAR)
+def test_what_grows_beyond_all_bounds_leaves_weights_that_can_be_chosen_from(name: str, form: str) -> None:
+    learner = made(name, form)
+    learner.alpha = 1000.0
+    transitions = experience_of(name, form, np.random.default_rng(3))
+
+    def diverge() -> None:
+        for transition in 20 * transitions:
+            learner.update(transition)
+
+    with pytest.raises(SpecError, match="the weights have grown beyond all bounds"):
+        diverge()
+    assert np.isfinite(look_at(learner, transitions[0].features)).all()

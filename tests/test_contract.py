@@ -140,6 +140,33 @@ class ReadsWhenClosed(Good):
         pass
 
 
+class OneAtATime(Good):
+    def __init__(self) -> None:
+        super().__init__()
+        self.lock = asyncio.Lock()
+
+    async def read(self, newer_than: int) -> Sample:
+        async with self.lock:
+            return await super().read(newer_than)
+
+    async def act(self, command: Command) -> Command:
+        async with self.lock:
+            return await super().act(command)
+
+
+class EndsReading(Good):
+    acted = False
+
+    async def read(self, newer_than: int) -> Sample:
+        self.acted = False
+        await asyncio.sleep(0.001)
+        return self.sample() if self.acted else await super().read(newer_than)
+
+    async def act(self, command: Command) -> Command:
+        self.acted = True
+        return await super().act(command)
+
+
 class Hangs(Good):
     async def read(self, newer_than: int) -> Sample:
         await asyncio.sleep(3600)
@@ -162,6 +189,8 @@ def test_a_device_that_keeps_the_contract_passes() -> None:
         (SwallowsCancellation, "a_cancelled_read_does_no_harm", "went on waiting"),
         (SendsAnything, "nothing_beyond_the_limits_is_sent", "outside its range"),
         (SendsAnything, "an_unknown_actuator_is_refused", "was taken"),
+        (OneAtATime, "it_acts_while_a_read_waits", "act waited for the end of a read"),
+        (EndsReading, "a_read_goes_on_waiting_after_an_act", "it must go on waiting"),
         (ReturnsNothing, "act_returns_what_was_sent", "return what was sent"),
         (UnsafeBeforeOpen, "it_can_be_made_safe_at_any_time", "no port"),
         (ReadsWhenClosed, "it_can_be_closed_twice_and_opened_again", "a closed device was read"),

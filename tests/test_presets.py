@@ -52,7 +52,7 @@ from rtagent_drivers.stopping import stopping_joint
 
 COSTS = {ACT: Cost(10 * us), OBSERVE: Cost(5 * us), CHOOSE: Cost(5 * us)}
 ALL_COSTS = 20 * us
-SLICE = 100 * us
+SLICE = PRESETS["interruptible"].learn.slice
 LEARNED = ("learned_in_place", "learned_deferred", "learned_under_backpressure", "transitions_shed")
 
 

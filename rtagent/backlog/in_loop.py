@@ -135,13 +135,8 @@ class InLoop(Inline):
             if self._calm and await self._is_urgent():
                 await self._wait_while_urgent()
                 break
-            if not self._slice:
-                await self._learn_one()
-                continue
-            await self._learn_slice()
-            await look(self._ready)
-            self.called = self._senses.news()
-            if self.called:
+            await (self._learn_slice() if self._slice else self._learn_one())
+            if (self._slice or self._urgency.by_prediction) and await self._something_is_new():
                 break
         if self.backlog.current is not None:
             self.backlog.current.suspended = True
@@ -169,6 +164,11 @@ class InLoop(Inline):
         self._recorder.learning_time += spent
         if over:
             self.backlog.end(update)
+
+    async def _something_is_new(self) -> bool:
+        await look(self._ready)
+        self.called = self._senses.news()
+        return self.called
 
     async def _wait_while_urgent(self) -> None:
         """Wait for news where no device paces the cycle: the same again would only fill the queue."""

@@ -8,7 +8,8 @@ both are folded into the cells, a block at a time; until all are, those that wer
 All is in one array, because each array more makes a call slower: cells of shape (weights + 2, 4). A cell has u, ê,
 its mark (0: not in the support, which are the cells whose ê may differ from 0), and a place for one number of the
 support's list. The last two cells have the numbers that are there once.
-An index out of range, or what is not finite, changes nothing and returns what is not finite.
+An index out of range, or what is not finite or has grown beyond all bounds, changes nothing; what is returned is
+not finite then.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from rtagent.experience import FloatArray
 from rtagent.kernels.compiling import kernel
+from rtagent.learning.linear import BOUND
 
 U, TRACE, MARK, SUPPORT = 0, 1, 2, 3
 SCALE, SHIFT, COUNT, CURRENT = 0, 1, 2, 3
@@ -141,8 +143,8 @@ def credit(
     """Add φ to the trace, or replace it there; do θ ← θ + αδe, then e ← decay·e; return δ."""
     fold(cells, cells.shape[0])
     delta = target - value(cells, row, size, indices, values)
-    if not math.isfinite(delta):
-        return delta
+    if not abs(delta) < BOUND:
+        return math.inf * delta
     if replacing:
         clear(cells, row, size, indices)
     add(cells, row, size, indices, values, 1.0 / cells[-1, SCALE], 0.0)
@@ -164,7 +166,7 @@ def dutch(
     now, traced = products(cells, row, size, indices, values)
     before = now if math.isnan(estimate) else estimate
     delta = reward + gamma * next_value - before
-    if not math.isfinite(delta + now):
+    if not abs(delta) + abs(now) < BOUND:
         return math.nan, next_value
     to_trace = alpha * (1.0 - traced) / cells[-1, SCALE]
     add(cells, row, size, indices, values, to_trace, alpha * (before - now))

@@ -12,6 +12,8 @@ from rtagent.saving import Saved, restore_fields
 
 ALL_ONES: FloatArray = np.empty(0)
 """How kernels are told that all values are 1."""
+BOUND = 1e100
+"""From an error of this size on, learning diverges; weights are still finite, and so is what is made of them."""
 NOTHING = FeatureVector(np.empty(0, dtype=np.intp))
 """What is active after the end."""
 

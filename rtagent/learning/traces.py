@@ -4,7 +4,8 @@ A prediction has one row, control a row for each action. There are two forms tha
 readable one; `LazyTraces` touches only what is active.
 
 Each rule (`credit`, `dutch`) does one step towards a target, and then lets the trace decay by γλ of the state that
-comes next; a decay of 0 resets it. What is not finite changes nothing: the δ that is returned is not finite then.
+comes next; a decay of 0 resets it. What is not finite, or grown beyond all bounds, changes nothing: the δ that is
+returned is not finite then, and the weights are.
 Kernels run without the GIL: ask and learn from one thread at a time.
 """
 
@@ -19,7 +20,16 @@ import numpy as np
 from rtagent import kernels
 from rtagent.experience import FeatureVector, FloatArray
 from rtagent.learning.lazy import LazyTraces
-from rtagent.learning.linear import Parts, check_count, check_range, parts_saved, product, products, values_of
+from rtagent.learning.linear import (
+    BOUND,
+    Parts,
+    check_count,
+    check_range,
+    parts_saved,
+    product,
+    products,
+    values_of,
+)
 from rtagent.memory import claim
 from rtagent.saving import Saved
 
@@ -121,8 +131,8 @@ class DenseTraces:
     ) -> float:
         """Add the features to the trace, or replace it there; move the weights by αδe; return δ."""
         delta = target - self.value(row, features)
-        if not math.isfinite(delta):
-            return delta
+        if not abs(delta) < BOUND:
+            return math.inf * delta
         kept = 0.0 if replacing else self._trace[row, features.indices]
         self._trace[row, features.indices] = kept + values_of(features)
         self._move(row, features, alpha * delta, decay)
@@ -136,7 +146,7 @@ class DenseTraces:
         value, next_value = self.value(row, features), self.value(next_row, following)
         before = value if math.isnan(estimate) else estimate
         delta = reward + gamma * next_value - before
-        if not math.isfinite(delta + value):
+        if not abs(delta) + abs(value) < BOUND:
             return math.nan, next_value
         traced, values = product(self._trace[row], features), values_of(features)
         self._trace[row, features.indices] += alpha * (1.0 - traced) * values

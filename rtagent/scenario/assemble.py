@@ -16,7 +16,7 @@ from rtagent.device import Device, Finite
 from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs, PairedCoder
 from rtagent.features.inputs import matching
-from rtagent.learn import Condition, Learn
+from rtagent.learn import Condition
 from rtagent.learning import Horde, WithHorde
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
@@ -32,6 +32,7 @@ from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
 from rtagent.task import Task
+from rtagent.urgency import check_urgency
 
 T = TypeVar("T")
 
@@ -103,6 +104,8 @@ def assemble(scenario: Scenario) -> Assembly:
     if task is not None and complete:
         problems.attempt(("task",), lambda: task.bind({name: device.spec for name, device in devices.items()}))
     schedule = problems.attempt(("schedule",), lambda: _schedule(scenario))
+    if schedule is not None:
+        schedule = problems.attempt(_learn_path(scenario), partial(_with_learn, scenario, schedule))
     costs = problems.attempt(("costs",), lambda: _costs(scenario)) or {}
     make_agent = _AgentBuilder(scenario, task) if task is not None else None
     rng = stream(scenario.model.run.seed, "check")
@@ -110,11 +113,15 @@ def assemble(scenario: Scenario) -> Assembly:
         agent = make_agent.attempt(problems, rng) if make_agent is not None else None
     before: Order = ()
     if schedule is not None and agent is not None:
-        before = problems.attempt(("schedule",), lambda: agent_prologue(schedule, agent)) or ()
+        before = problems.attempt(("schedule",), partial(agent_prologue, schedule, agent)) or ()
+        if task is not None and complete:
+            specs = {name: device.spec for name, device in devices.items()}
+            check = partial(check_urgency, schedule.learn, task, agent.learner, specs)
+            problems.attempt(_learn_path(scenario), check)
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
     problems.attempt(("run", "trials"), lambda: _refuse_trials(plan.trials, sum(memory.values())))
     if schedule is not None and scenario.model.run.clock == "virtual" and complete:
-        problems.attempt(("run", "clock"), lambda: refuse_stuck(devices, schedule, costs, plan))
+        problems.attempt(("run", "clock"), partial(refuse_stuck, devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
         raise ScenarioError(problems.sentences)
     supervision = {
@@ -242,19 +249,25 @@ def _schedule(scenario: Scenario) -> Schedule:
         name: getattr(table, name) for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
     }
     if table.preset is not None:
-        made = Schedule.preset(table.preset, **settings)
-    else:
-        made = Schedule(tuple(table.order or ()), **settings)
-    return replace(made, learn=_learn(scenario, made.learn))
+        return Schedule.preset(table.preset, **settings)
+    return Schedule(tuple(table.order or ()), **settings)
 
 
-def _learn(scenario: Scenario, usual: Learn) -> Learn:
-    """Return the usual learning rule with what the scenario says of it."""
+def _learn_path(scenario: Scenario) -> KeyPath:
+    """Return where a scenario says most about its learning rule."""
+    said = scenario.model.learn.model_fields_set
+    if not said:
+        return ("schedule", "preset")
+    return ("learn", next((key for key in ("urgent", "when") if key in said), "where"))
+
+
+def _with_learn(scenario: Scenario, schedule: Schedule) -> Schedule:
+    """Return the schedule with what the scenario says of its learning rule."""
     table = scenario.model.learn
     said = {name: getattr(table, name) for name in ("when", "slice", "where", "queue", "full")}
     given = {name: value for name, value in said.items() if value is not None}
-    urgent = Condition(**table.urgent.model_dump()) if table.urgent else None
-    return replace(usual, urgent=urgent, **given)
+    urgent = Condition(**table.urgent.model_dump(exclude_none=True)) if table.urgent else None
+    return replace(schedule, learn=replace(schedule.learn, urgent=urgent, **given))
 
 
 def _realtime(scenario: Scenario) -> Realtime:

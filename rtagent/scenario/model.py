@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
@@ -62,8 +61,8 @@ class UrgentTable(Table):
 
     signal: str = Field("", description='a sensor, as "device.sensor"')
     prediction: str = Field("", description="a demon's name")
-    above: float = Field(inf, description="urgent above this value")
-    below: float = Field(-inf, description="urgent below this value")
+    above: float | None = Field(None, description="urgent above this value")
+    below: float | None = Field(None, description="urgent below this value")
 
 
 class LearnTable(Table):
