@@ -114,7 +114,7 @@ def compared(
         if variant is not base:
             low, high = interval(these, others, q)
             ratio = quantile(these, q) / quantile(others, q)
-            yield Row(f"the same, to {base.name} ({low:.2f} to {high:.2f})", ratio, "×", reach)
+            yield Row(f"{variant.name}, {name}, to {base.name} ({low:.2f} to {high:.2f})", ratio, "×", reach)
 
 
 def learning_rows() -> Iterator[Row]:

@@ -121,8 +121,7 @@ class TimerfdSelector(_Selector):
             timeout = None
         elif timeout is None and self._timer.armed:
             self._timer.arm(0)
-        found = super().select(timeout)
-        return found and [ready for ready in found if ready[0].fd != self._timer.fd]
+        return [ready for ready in super().select(timeout) if ready[0].fd != self._timer.fd]
 
     def close(self) -> None:
         """Close the epoll and its timer."""
