@@ -202,6 +202,29 @@ class SupervisedDevice:
 
     async def wait(self, limit: int) -> bool:
         """Wait at most `limit` (ns) for a new sample, and observe it; say whether there is one."""
+        at_rest = self._watching is None and self._reads.failing_since is None
+        if not at_rest or self.sample is not self._observed:
+            return await self._wait_otherwise(limit)
+        self._guard.arm(limit, self._reading)
+        try:
+            sample = await self.device.read(self._seen)
+        except BaseException as error:
+            failure = self._guard.explained(error)
+        else:
+            if not self._accept(sample):
+                return self._observe()
+            self._observed, self._seen = sample, sample.sequence  # what _observe does, at each step of a run
+            return True
+        finally:
+            self._guard.disarm()
+        if isinstance(failure, TimeoutError):
+            await self.read(-1)
+        else:
+            self._failed("read", self._reads, failure)
+        return self._observe()
+
+    async def _wait_otherwise(self, limit: int) -> bool:
+        """Wait where something waits already, was read and not observed, or fails."""
         if self._watching is not None and not self._watching.done():
             if self._clock.now() >= self._watch_ends:
                 await self._examine()
@@ -212,30 +235,12 @@ class SupervisedDevice:
                 return await self.refresh()
         if self._watching is not None or self.sample is not self._observed:
             return await self.refresh()
-        if self._reads.failing_since is not None:
-            now = self._clock.now()
-            await self._clock.sleep_until(min(max(self._reads.retry_at, now + FIRST_PAUSE), now + limit))
-            await self.read(-1)
-        else:
-            await self._read_next(limit)
+        if not self.failing:
+            return await self.wait(limit)
+        now = self._clock.now()
+        await self._clock.sleep_until(min(max(self._reads.retry_at, now + FIRST_PAUSE), now + limit))
+        await self.read(-1)
         return self._observe()
-
-    async def _read_next(self, limit: int) -> None:
-        """Read the sample after the last one; after `limit` (ns) the newest there is."""
-        self._guard.arm(limit, self._reading)
-        try:
-            sample = await self.device.read(self._seen)
-        except BaseException as error:
-            failure = self._guard.explained(error)
-        else:
-            self._accept(sample)
-            return
-        finally:
-            self._guard.disarm()
-        if isinstance(failure, TimeoutError):
-            await self.read(-1)
-        else:
-            self._failed("read", self._reads, failure)
 
     async def _examine(self) -> None:
         """End a watch that has gone on for half of the retry budget; a device that hangs answers no read either."""

@@ -108,8 +108,8 @@ def test_in_one_piece_learning_delays_the_reaction_as_in_the_thesis(preset: str,
 
 
 def test_interruptible_reacts_within_a_slice_and_what_the_components_cost() -> None:
-    reactions = run_thesis("interruptible", 12).reaction_times
-    assert len(reactions) == 12
+    reactions = run_thesis("interruptible", 8).reaction_times
+    assert len(reactions) == 8
     assert all(ALL_COSTS <= reaction <= SLICE + ALL_COSTS for reaction in reactions)
     assert max(reactions) > ALL_COSTS + SLICE // 2, "a slice is not left off in its middle"
 
