@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from typing import Any
@@ -15,6 +15,9 @@ from rtagent.recorder import EpisodeRecord, Fault, Recorder
 from rtagent.schedule import Component, Schedule
 from rtagent.series import Series
 from rtagent.summary import Summary
+
+POINTS = 100
+"""So many values of a series are told."""
 
 HOW_LEARNED = {
     "in place": "learned_in_place",
@@ -168,7 +171,11 @@ class Result:
             "response_time": _with_missed(self.response_time),
             "components": {name: summary.in_seconds() for name, summary in self.components().items()},
             "sample_age": _summary(self.recorder.sample_age).in_seconds(),
-            "queue_length": {"median": queue.median, "max": queue.maximum},
+            "queue_length": {
+                "median": queue.median,
+                "max": queue.maximum,
+                "over_time": _spread(self.recorder.queue_length.values()),
+            },
             "learning": self.learning().as_dict(),
             "counters": dict(sorted(self.recorder.counters.items())),
             "devices": {name: dict(sorted(counts.items())) for name, counts in self.device_counters.items()},
@@ -183,6 +190,12 @@ class Result:
                 for trial, episodes in groupby(self.episodes, key=lambda episode: episode.trial)
             ],
         }
+
+
+def _spread(values: Sequence[int]) -> list[int]:
+    """Return at most `POINTS` of the values, evenly spread."""
+    places = range(0, len(values), max(1, -(-len(values) // POINTS)))
+    return [values[place] for place in places]
 
 
 def _summary(series: Series) -> Summary:

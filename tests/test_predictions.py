@@ -64,3 +64,20 @@ def test_the_horde_of_the_scenario_has_2576_demons(capsys: pytest.CaptureFixture
     assert main(["run", path, "--clock", "virtual", "--set", "run.episode_time=2s", "--quiet"]) == 0
     assert main(["check", path]) == 0
     assert "82.4 MB for the weights of 2,576 demons over 8,000 features" in capsys.readouterr().out
+
+
+def test_the_queue_is_told_over_time(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    late = [
+        "--set",
+        "schedule.preset=deferred",
+        "--set",
+        "schedule.learn_delay=500ms",
+        "--clock",
+        "virtual",
+        "--quiet",
+    ]
+    assert main(["run", str(SCENARIOS / "stopping.toml"), *late, "--json", str(path)]) == 0
+    queue = json.loads(path.read_text())["queue_length"]
+    assert 20 <= len(queue["over_time"]) <= 100
+    assert max(queue["over_time"]) == queue["max"] > 0
