@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 DONE, FAULT, USAGE = 0, 1, 2
 
 EPILOG = (
-    "Exit codes: 0 done; 1 a fault in the run, or it was stopped by a signal (devices were made safe); "
-    "2 bad scenario or usage."
+    "Exit codes: 0 done; 1 a fault in the run, something was not learned, or it was stopped by a signal "
+    "(devices were made safe); 2 bad scenario or usage."
 )
 
 
