@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.random import Generator
 
@@ -89,3 +90,35 @@ class Counting(Protocol):
     @property
     def counters(self) -> Mapping[str, int]:
         """The counts so far, by name."""
+
+
+@dataclass(frozen=True)
+class LastResort:
+    """How a process that has no event loop makes a device safe, when the one that drives it cannot.
+
+    `function` is "package.module:name"; called with `settings` (what JSON can hold) it returns a `SpareHandle`.
+    `hardware` names the thing itself, such as its port by id: it is what stays latched after a stop.
+    """
+
+    function: str
+    settings: Mapping[str, Any]
+    hardware: str
+
+
+class SpareHandle(Protocol):
+    """A second way to the hardware, opened beforehand. It blocks, and needs neither asyncio nor numpy."""
+
+    def make_safe(self) -> Sequence[str]:
+        """Make it safe by its stop policy and read that back; return a sentence for each thing that is not safe."""
+
+    def close(self) -> None:
+        """Let go of the hardware."""
+
+
+@runtime_checkable
+class Guarded(Protocol):
+    """A device that moves something real: it is watched from outside the process, and latched once stopped."""
+
+    @property
+    def last_resort(self) -> LastResort:
+        """How to make it safe from outside; asked again after each `open`, when a port may have been found."""

@@ -1,0 +1,1 @@
+"""Dynamixel servos: codec, bus, driver, and an emulated bus."""

@@ -1,0 +1,59 @@
+"""Control tables of Dynamixel servos, as data with their source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Encoding = Literal["unsigned", "signed", "sign_magnitude"]
+Quantity = Literal["none", "position", "velocity", "load", "current", "pwm", "temperature", "voltage"]
+Mode = Literal["position", "velocity", "wheel", "torque"]
+"""How a joint is commanded: to an angle; at a speed towards a soft limit, where the servo ends by itself;
+at a speed without end; or with a fraction of its full torque (or current)."""
+
+
+@dataclass(frozen=True)
+class Register:
+    """A stretch of the control table: `size` bytes at `address`, little-endian.
+
+    One count is `scale` in SI units (rad, rad/s, fraction of the full load, °C, V), and `zero` counts are 0.
+    For `sign_magnitude` the highest of `bits` bits is the sign.
+    """
+
+    address: int
+    size: int
+    quantity: Quantity = "none"
+    scale: float = 1.0
+    zero: int = 0
+    encoding: Encoding = "unsigned"
+    bits: int = 0
+    writable: bool = False
+    eeprom: bool = False
+    initial: int = 0
+    low: int | None = None
+    high: int | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A kind of servo: its number (what it says of itself), protocol, registers by name, and modes.
+
+    `source` is where the table was published. Registers that mean the same have the same name in every model:
+    model_number, firmware_version, id, baud_rate, return_delay, status_return_level, torque_enable, led,
+    goal_position, goal_velocity, goal_torque, moving_speed (1.0) or profile_velocity (2.0), torque_limit,
+    present_position, present_velocity, present_load, present_voltage, present_temperature, moving, bus_watchdog,
+    hardware_error, operating_mode, cw_angle_limit, ccw_angle_limit, and so on.
+    """
+
+    name: str
+    number: int
+    protocol: int
+    source: str
+    registers: Mapping[str, Register]
+    modes: Mapping[Mode, Mapping[str, int]] = field(default_factory=dict)
+    """What is written, with torque off, to bring it into each mode that it has."""
+    stall_torque: float = 0.0
+    """N·m at its nominal voltage."""
+    top_speed: float = 0.0
+    """rad/s without load at its nominal voltage."""
