@@ -72,7 +72,7 @@ class State(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A stretch of constant acceleration; `effort` is the load where motion does not tell, as of a motor that is off."""
+    """A stretch of constant acceleration; `effort` is the load where it does not follow from the motion."""
 
     duration: float
     position: float
@@ -254,10 +254,12 @@ class Motion:
         self._blocked = blocked
         self._anew(now)
 
-    def lets_go(self, after: int) -> int | None:
-        """Return when (ns) its servo lets go, if that is to come after `after` and nothing changes till then."""
-        piece = self._piece(after)
-        return piece.end if piece.stalled else None
+    def lets_go(self) -> int | None:
+        """Return when (ns) its servo lets go, or has let go, under the drive that it has; None if it does not."""
+        while self._pieces[-1].leads_on:
+            self._append_next()
+        last = self._pieces[-1]
+        return last.end if last.step.stalled else self._let_go
 
     def _anew(self, now: int) -> None:
         state = self.at(now)
@@ -268,7 +270,14 @@ class Motion:
     def _follow(self, now: int, position: float, velocity: float, temperature: float) -> None:
         body = replace(self._body, low=position, high=position) if self._blocked else self._body
         self._coming = _steps(self._drive, body, position, velocity)
+        self._let_go: int | None = None
         self._append(now, temperature)
+
+    def _append_next(self) -> None:
+        last = self._pieces[-1]
+        assert last.end is not None, "nothing comes after what has no end"
+        self._let_go = last.end if last.step.stalled else self._let_go
+        self._append(last.end, last.temperature_at(last.end))
 
     def _append(self, start: int, temperature: float) -> None:
         self._pieces.append(_piece(start, next(self._coming), temperature, self._body))
@@ -277,10 +286,8 @@ class Motion:
             del self._starts[: REMEMBERED // 2], self._pieces[: REMEMBERED // 2]
 
     def _piece(self, time: int) -> _Piece:
-        last = self._pieces[-1]
-        while last.end is not None and last.end <= time:
-            self._append(last.end, last.temperature_at(last.end))
-            last = self._pieces[-1]
+        while (end := self._pieces[-1].end) is not None and end <= time:
+            self._append_next()
         return self._pieces[max(0, bisect_right(self._starts, time) - 1)]
 
 
@@ -295,8 +302,9 @@ class _Piece:
     warmth: float
 
     @property
-    def stalled(self) -> bool:
-        return self.step.stalled
+    def leads_on(self) -> bool:
+        """Whether it is a stretch of a planned way, after which another follows soon."""
+        return self.end is not None and self.step.effort is None
 
     def at(self, time: int, body: Body) -> State:
         elapsed = max(0, time - self.start) / second
@@ -311,10 +319,9 @@ class _Piece:
 
 def _piece(start: int, step: Step, temperature: float, body: Body) -> _Piece:
     """Return a step as a piece of time; it heats by the mean square of the load in it."""
-    if isinf(step.duration):
-        moments, end = (0.0,), None
-    else:
-        moments, end = tuple(step.duration * part for part in (0.25, 0.75)), start + ceil(step.duration * second)
+    endless = isinf(step.duration)
+    moments = (0.0,) if endless else (0.25 * step.duration, 0.75 * step.duration)
+    end = None if endless else start + ceil(step.duration * second)
     squares = [_load(step, body, *step.after(moment)) ** 2 for moment in moments]
     return _Piece(start, end, step, temperature, AMBIENT + HEATING * sum(squares) / len(squares))
 
