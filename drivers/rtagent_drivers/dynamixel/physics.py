@@ -34,6 +34,8 @@ REMEMBERED = 4096
 
 STILL = 1e-9
 """Ways (rad) and speeds (rad/s) too small to matter."""
+CREEP = 1e-3
+"""Speed (rad/s), and load beyond that of friction, at which what moves freely comes to rest."""
 STEADY = 1e-3
 """Acceleration (rad/s²) below which a speed is constant."""
 
@@ -181,11 +183,10 @@ class Push:
 
     def plan(self, body: Body, position: float, velocity: float) -> Iterator[Step]:
         """Yield short steps until it is at rest, or turns at a constant speed."""
-        while velocity or abs(self.presses(body, position)) > body.friction:
+        while abs(velocity) > CREEP or abs(self.presses(body, position)) > body.friction + CREEP:
             step = self._step(body, position, velocity)
             yield step
             position, velocity = step.after(step.duration)
-            velocity = 0.0 if abs(velocity) < STILL else velocity
         yield self.lean(body, position)
 
     def presses(self, body: Body, position: float) -> float:

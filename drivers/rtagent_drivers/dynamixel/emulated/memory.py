@@ -10,7 +10,7 @@ from rtagent_drivers.dynamixel.control_table import Model, Register
 
 
 class Refusal(Enum):
-    """Why a servo does not do what it is asked: its bit in the errors of protocol 1.0, its number in those of 2.0."""
+    """Why a servo does not do what it is asked: its bit among the errors of protocol 1.0, its number in 2.0."""
 
     INSTRUCTION = 0x40, 2
     CHECKSUM = 0x10, 3
@@ -34,7 +34,7 @@ class Memory:
 
     def __getitem__(self, name: str) -> int:
         register = self._registers[name]
-        return values.unpack(register, self._bytes, register.address)
+        return _count(register, self._bytes)
 
     def __setitem__(self, name: str, count: int) -> None:
         register = self._registers[name]
@@ -89,12 +89,16 @@ class Memory:
         self._bytes[address : address + len(data)] = data
 
 
-def _takes(register: Register, table: bytes | bytearray) -> bool:
-    count = values.unpack(register, table, register.address)
+def _count(register: Register, table: bytearray) -> int:
+    return values.unpack(register, bytes(table[register.address : register.address + register.size]))
+
+
+def _takes(register: Register, table: bytearray) -> bool:
+    count = _count(register, table)
     return (register.low is None or count >= register.low) and (register.high is None or count <= register.high)
 
 
 def _nearest(register: Register, value: float) -> int:
     """Return the count nearest to `value` (SI) that the register's bytes can hold."""
-    least, most = values.span(register)
+    least, most = values.bounds(register)
     return min(max(round(value / register.scale) + register.zero, least), most)

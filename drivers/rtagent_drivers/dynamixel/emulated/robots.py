@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from rtagent.units import Angle, Baud, Duration
 from rtagent_drivers.dynamixel.physics import Body
+
+WEIGHTLESS = Body()
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A servo on the bus and what it moves; it begins, limp, at `start` (rad)."""
+    """A servo on the bus and what it moves; it begins, limp, at `start` (rad).
+
+    `baud` is at what it listens, `return_delay` how long it waits before it answers (from the factory 500 µs).
+    """
 
     name: str
     id: int
     model: str
-    body: Body = Body()
-    start: float = 0.0
+    body: Body = WEIGHTLESS
+    start: Angle = 0.0
+    baud: Baud = 1_000_000
+    return_delay: Duration = 0
 
 
 STOP = 2.6
