@@ -151,7 +151,8 @@ class _Port(serial.Serial):  # type: ignore[misc]  # pyserial has no types
 def _open(port: str, baud: int) -> _Port:
     path = find_port(port)
     try:
-        return _Port(path, baud, timeout=0, exclusive=True)
+        # without inter_byte_timeout nothing-yet reads like hung-up: VMIN would be 0
+        return _Port(path, baud, timeout=0, inter_byte_timeout=0, exclusive=True)
     except ValueError as error:
         raise SpecError(f"{path} cannot run at {baud} baud ({error}): use a rate that its adapter has.") from error
     except PORT_ERRORS as error:

@@ -83,14 +83,14 @@ class Bus:
             statuses |= await self._ask(asked)
         return statuses
 
-    async def send(self, key: str, request: Request) -> bool:
-        """Send a request that nobody answers as soon as the line is free; return when it was handed over.
+    async def send(self, key: str, *requests: Request) -> bool:
+        """Send requests that nobody answers as soon as the line is free; return when they were handed over.
 
-        It takes the place of one of the same `key` that still waits; for that one False is returned. Raises
+        They take the place of those of the same `key` that still wait; for these False is returned. Raises
         `DeviceError` where an emergency overtook it, and `DisconnectedError`.
         """
         self._check_open()
-        waiting = _Write(self.codec.request(request), self._loop.create_future())
+        waiting = _Write(b"".join(map(self.codec.request, requests)), self._loop.create_future())
         before = self._writes.pop(key, None)
         if before is not None and not before.sent.done():
             before.sent.set_result(False)
@@ -215,7 +215,9 @@ class Bus:
     def _end(self, exchange: Exchange) -> None:
         """End an exchange, complete or not; send the next one, and then tell of this one."""
         self._exchange = None
-        if not exchange.over:
+        if exchange.over:
+            self._free_at = 0
+        else:
             for status in self._decoder.reset():
                 exchange.take(status)
         exchange.until = self._now()

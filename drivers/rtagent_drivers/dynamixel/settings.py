@@ -11,7 +11,7 @@ from rtagent.errors import SpecError, did_you_mean
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import Angle, AngularAcceleration, AngularVelocity, Duration
 from rtagent_drivers.dynamixel.models import MODELS, Mode, Model
-from rtagent_drivers.dynamixel.values import to_si
+from rtagent_drivers.dynamixel.values import bounds, to_si
 from rtagent_drivers.fake import CLOSED_SETTINGS, Faults
 
 Stop = Literal["hold", "release", "home"]
@@ -137,10 +137,11 @@ class Axis:
 
 def servo_range(model: Model) -> tuple[float, float]:
     """Return the angles (rad) that a servo of this model can go to."""
-    goal = model.registers["goal_position"]
-    if goal.low is None or goal.high is None:
-        return -tau / 2, tau / 2
-    return to_si(goal, goal.low), to_si(goal, goal.high)
+    registers = model.registers
+    least, most = registers["goal_position"], registers["goal_position"]
+    if "max_position_limit" in registers:
+        least, most = registers["min_position_limit"], registers["max_position_limit"]
+    return to_si(least, bounds(least)[0]), to_si(most, bounds(most)[1])
 
 
 def axes(joints: Mapping[str, Joint], protocol: int, calibration: Mapping[str, Placing]) -> tuple[Axis, ...]:
