@@ -179,6 +179,14 @@ def find_port(port: str) -> str:
     raise DisconnectedError(f"no port fits {port!r}; there is {there}. Plug it in, or give its path.")
 
 
+def stable_name(path: str) -> str:
+    """Return the name of a port that stays the same when it is plugged in anew, where it has one."""
+    real = os.path.realpath(path)
+    links = sorted(Path("/dev/serial/by-id").glob("*"))
+    named = next((str(link) for link in links if os.path.realpath(link) == real), None)
+    return named or os.path.abspath(path)  # noqa: PTH100  # a link is to stay one, not to be resolved
+
+
 def _fits(port: Any, name: str) -> bool:
     usb_id = USB_ID.fullmatch(name)
     if usb_id is not None:
