@@ -31,6 +31,7 @@ from rtagent_drivers.dynamixel.stream import StreamDecoder
 Packet = TypeVar("Packet")
 
 HEADER = b"\xff\xff\xfd\x00"
+HIGHEST_ID = 0xFC
 LONGEST = 1024
 """The highest length (of all that follows it) that is believed: servos and the SDK keep no more."""
 
@@ -82,12 +83,12 @@ class Protocol2:
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request."""
-        check(request.servo, request.instruction)
+        check(request.servo, request.instruction, HIGHEST_ID)
         return _frame(request.servo, stuffed(bytes((request.instruction,)) + request.parameters))
 
     def status(self, status: Status) -> bytes:
         """Return the bytes of an answer; one from BROADCAST is the combined answer to a fast read."""
-        check(status.servo, status.error)
+        check(status.servo, status.error, HIGHEST_ID)
         content = bytes((Instruction.STATUS, status.error)) + status.parameters
         return _frame(status.servo, content if status.servo == BROADCAST else stuffed(content))
 
@@ -249,7 +250,7 @@ def _bulk_writes(data: bytes) -> list[Write]:
 
 
 def _id(servo: int) -> bytes:
-    check(servo, 0)
+    check(servo, 0, HIGHEST_ID)
     return bytes((servo,))
 
 
