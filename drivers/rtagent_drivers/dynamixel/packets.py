@@ -118,7 +118,7 @@ class Codec(Protocol):
     def group_read(self, spans: Sequence[Span]) -> Request:
         """Return the request that reads a span of each of several servos in one go; each answers by itself.
 
-        It is a bulk read in 1.0 (one servo alone is simply read); in 2.0 a sync read where all spans are alike, else
+        A bulk read in 1.0 (one servo alone is simply read); in 2.0 a sync read where all spans are alike, else
         a bulk read. Each servo waits until it has seen the answer of the one before it.
         """
 

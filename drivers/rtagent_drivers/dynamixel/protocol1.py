@@ -27,6 +27,9 @@ from rtagent_drivers.dynamixel.stream import StreamDecoder
 Packet = TypeVar("Packet")
 
 HEADER = b"\xff\xff"
+WHOLE = (0xFF + sum(HEADER)) & 0xFF
+"""The last byte of the sum over a good packet: the checksum makes it FF without the header."""
+
 HIGHEST_ID = 0xFD
 LONGEST = 253
 """Bytes of parameters: the length, two more, is one byte."""
@@ -53,7 +56,7 @@ class Framing(Generic[Packet]):
 
     def parse(self, frame: bytes) -> Packet | None:
         """Return the packet, or None where its checksum is wrong."""
-        if sum(frame) - 2 * 0xFF & 0xFF != 0xFF:
+        if sum(frame) & 0xFF != WHOLE:
             return None
         return self._make(frame[2], frame[4], frame[5:-1])
 
