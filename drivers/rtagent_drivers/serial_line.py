@@ -126,7 +126,7 @@ class _Relay(asyncio.Protocol):
 
     def __init__(self, line: SerialLine, receiver: Receiver) -> None:
         self._line = line
-        self.data_received = receiver.data_received  # type: ignore[method-assign]  # no call in between
+        self.data_received = receiver.data_received  # type: ignore[assignment,method-assign]  # no call in between
 
     def connection_lost(self, error: Exception | None) -> None:
         self._line.lost(error)
