@@ -13,12 +13,17 @@ def _entry(byte: int) -> int:
     return crc
 
 
-_TABLE = tuple(map(_entry, range(256)))
+# bytes of bytes: small, and what they give needs no new object
+_HIGH = bytes(_entry(byte) >> 8 for byte in range(256))
+_LOW = bytes(_entry(byte) & 0xFF for byte in range(256))
 
 
 def crc16(data: bytes, crc: int = 0) -> int:
     """Return the CRC of `data`, going on from that of what came before."""
-    table = _TABLE
+    high, low = crc >> 8, crc & 0xFF
+    highs, lows = _HIGH, _LOW
     for byte in data:
-        crc = (crc & 0xFF) << 8 ^ table[crc >> 8 ^ byte]
-    return crc
+        index = high ^ byte
+        high = low ^ highs[index]
+        low = lows[index]
+    return high << 8 | low

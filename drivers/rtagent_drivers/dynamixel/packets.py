@@ -10,9 +10,6 @@ from typing import Protocol, TypeVar
 from rtagent.errors import SpecError
 
 BROADCAST = 0xFE
-HIGHEST_ID = 0xFC
-"""0xFD is no id: in protocol 2.0 it would look like a part of the header."""
-
 Packet_co = TypeVar("Packet_co", covariant=True)
 
 
@@ -121,7 +118,8 @@ class Codec(Protocol):
     def group_read(self, spans: Sequence[Span]) -> Request:
         """Return the request that reads a span of each of several servos in one go; each answers by itself.
 
-        It is a bulk read in 1.0; in 2.0 a sync read where all spans are alike, else a bulk read.
+        A bulk read in 1.0 (one servo alone is simply read); in 2.0 a sync read where all spans are alike, else
+        a bulk read. Each servo waits until it has seen the answer of the one before it.
         """
 
     def spans(self, request: Request) -> Sequence[Span]:
@@ -131,10 +129,10 @@ class Codec(Protocol):
         """Return what a request writes (also a registered one): none where it writes nothing."""
 
 
-def check(servo: int, code: int, *, highest: int = BROADCAST) -> None:
-    """Raise `SpecError` unless a packet can bear this id, and this instruction or error."""
-    if not (0 <= servo <= HIGHEST_ID or servo == BROADCAST == highest):
-        raise SpecError(f"{servo} is no id of a servo: use 0 to {HIGHEST_ID}, or {BROADCAST} for all at once.")
+def check(servo: int, code: int, highest_id: int) -> None:
+    """Raise `SpecError` unless a packet can bear this id (BROADCAST too), and this instruction or error."""
+    if not (0 <= servo <= highest_id or servo == BROADCAST):
+        raise SpecError(f"{servo} is no id of a servo: use 0 to {highest_id}, or {BROADCAST} for all at once.")
     if not 0 <= code <= 0xFF:
         raise SpecError(f"{code} is no instruction and no error: they are one byte, 0 to 255.")
 

@@ -27,6 +27,10 @@ from rtagent_drivers.dynamixel.stream import StreamDecoder
 Packet = TypeVar("Packet")
 
 HEADER = b"\xff\xff"
+WHOLE = (0xFF + sum(HEADER)) & 0xFF
+"""The last byte of the sum over a good packet: the checksum makes it FF without the header."""
+
+HIGHEST_ID = 0xFD
 LONGEST = 253
 """Bytes of parameters: the length, two more, is one byte."""
 
@@ -52,12 +56,12 @@ class Framing(Generic[Packet]):
 
     def parse(self, frame: bytes) -> Packet | None:
         """Return the packet, or None where its checksum is wrong."""
-        if sum(frame) - 2 * 0xFF & 0xFF != 0xFF:
+        if sum(frame) & 0xFF != WHOLE:
             return None
         return self._make(frame[2], frame[4], frame[5:-1])
 
 
-STATUS = Framing(Status, (0xFD, 0x7F))
+STATUS = Framing(Status, (HIGHEST_ID, 0x7F))
 REQUEST = Framing(Request, (BROADCAST, 0xFF))
 
 
@@ -102,8 +106,13 @@ class Protocol1:
         return Request(BROADCAST, Instruction.SYNC_WRITE, b"".join(parts))
 
     def group_read(self, spans: Sequence[Span]) -> Request:
-        """Return the bulk read of a span of each of several servos (of the MX series); each answers by itself."""
+        """Return the bulk read of a span of each of several servos (not of the AX series); each answers by itself.
+
+        A servo waits for the answer of the one before it; for one alone it is a plain read.
+        """
         each_once([span.servo for span in spans])
+        if len(spans) == 1:
+            return self.read(spans[0])
         parts = [_bytes(span.length, span.servo, span.address) for span in spans]
         return Request(BROADCAST, Instruction.BULK_READ, b"\0" + b"".join(parts))
 
@@ -133,7 +142,7 @@ PROTOCOL1 = Protocol1()
 
 
 def _frame(servo: int, code: int, parameters: bytes) -> bytes:
-    check(servo, code)
+    check(servo, code, HIGHEST_ID)
     body = bytes((servo, len(fits(parameters, LONGEST)) + 2, code)) + parameters
     return HEADER + body + bytes((~sum(body) & 0xFF,))
 

@@ -31,9 +31,11 @@ from rtagent_drivers.dynamixel.stream import StreamDecoder
 Packet = TypeVar("Packet")
 
 HEADER = b"\xff\xff\xfd\x00"
+HIGHEST_ID = 0xFC
 LONGEST = 1024
 """The highest length (of all that follows it) that is believed: servos and the SDK keep no more."""
 
+UNSTUFFED, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 WORD = Struct("<H")
 SYNC_READS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 BULK_READS = (Instruction.BULK_READ, Instruction.FAST_BULK_READ)
@@ -45,9 +47,10 @@ class Framing(Generic[Packet]):
     header = HEADER
     shortest = 10
 
-    def __init__(self, make: Callable[[int, bytes], Packet], *, answers: bool) -> None:
+    def __init__(self, make: Callable[[int, int, bytes], Packet], *, answers: bool) -> None:
         self._make, self._answers = make, answers
-        self._least = 4 if answers else 3
+        self._code_at = 8 if answers else 7
+        self._least = self._code_at - 4
 
     def end(self, buffer: bytes, start: int) -> int:
         """Return where the packet ends whose header is at `start`; `start` itself where it can be none."""
@@ -64,15 +67,18 @@ class Framing(Generic[Packet]):
         """Return the packet, or None where its CRC is wrong."""
         if crc16(frame[:-2]) != frame[-2] | frame[-1] << 8:
             return None
-        servo, content = frame[4], frame[7:-2]
-        return self._make(servo, content if self._is_combined(servo) else unstuffed(content))
+        servo, code_at = frame[4], self._code_at
+        content = frame[code_at:-2]
+        if STUFFED in content and not self._is_combined(servo):
+            content = unstuffed(content)
+        return self._make(servo, content[0], content[1:])
 
     def _is_combined(self, servo: int) -> bool:
         return self._answers and servo == BROADCAST
 
 
-STATUS = Framing(lambda servo, content: Status(servo, content[1], content[2:]), answers=True)
-REQUEST = Framing(lambda servo, content: Request(servo, content[0], content[1:]), answers=False)
+STATUS = Framing(Status, answers=True)
+REQUEST = Framing(Request, answers=False)
 
 
 class Protocol2:
@@ -82,12 +88,12 @@ class Protocol2:
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request."""
-        check(request.servo, request.instruction)
+        check(request.servo, request.instruction, HIGHEST_ID)
         return _frame(request.servo, stuffed(bytes((request.instruction,)) + request.parameters))
 
     def status(self, status: Status) -> bytes:
         """Return the bytes of an answer; one from BROADCAST is the combined answer to a fast read."""
-        check(status.servo, status.error)
+        check(status.servo, status.error, HIGHEST_ID)
         content = bytes((Instruction.STATUS, status.error)) + status.parameters
         return _frame(status.servo, content if status.servo == BROADCAST else stuffed(content))
 
@@ -207,12 +213,12 @@ def _crc_of_head(length: int) -> int:
 
 def stuffed(content: bytes) -> bytes:
     """Return `content` with one more FD after each FF FF FD."""
-    return content.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    return content.replace(UNSTUFFED, STUFFED)
 
 
 def unstuffed(content: bytes) -> bytes:
     """Return `content` as it was before stuffing."""
-    return content.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+    return content.replace(STUFFED, UNSTUFFED)
 
 
 def all_alike(spans: Sequence[Span]) -> bool:
@@ -249,7 +255,7 @@ def _bulk_writes(data: bytes) -> list[Write]:
 
 
 def _id(servo: int) -> bytes:
-    check(servo, 0)
+    check(servo, 0, HIGHEST_ID)
     return bytes((servo,))
 
 

@@ -39,8 +39,7 @@ class StreamDecoder(Generic[Packet]):
         """Take further bytes; return the packets that they complete, in order."""
         buffer = self._rest + data if self._rest else bytes(data)
         found: list[Packet] = []
-        position = self._scan(buffer, found)
-        self._rest = buffer[position:]
+        self._rest = buffer[self._scan(buffer, found) :]
         return found
 
     def reset(self) -> Sequence[Packet]:
@@ -77,7 +76,7 @@ class StreamDecoder(Generic[Packet]):
                 self.damaged += end > start
                 self.skipped += 1
                 position = start + 1
-        return self._tail(buffer, position)
+        return position if position == size else self._tail(buffer, position)
 
     def _tail(self, buffer: bytes, position: int) -> int:
         """Return where the beginning of a header stands at the end of `buffer`, or its end."""

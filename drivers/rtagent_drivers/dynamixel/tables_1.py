@@ -24,25 +24,27 @@ FRACTION = partial(Register, size=2, quantity="load", scale=1 / FULL, low=0, hig
 TENTH_VOLT = partial(Register, size=1, quantity="voltage", scale=0.1)
 
 
-def settings(number: int, *, baud: int, temperature: int, voltage: int) -> Mapping[str, Register]:
+def settings(
+    number: int, *, baud: int, temperature: int, voltage: int, torque: int = FULL
+) -> Mapping[str, Register]:
     """Return what is kept without power, as from the factory: limits in °C and tenths of a volt."""
     return {
         "model_number": Register(0, 2, eeprom=True, initial=number),
         "firmware_version": Register(2, 1, eeprom=True, initial=40),
-        "id": KEPT(3, 1, initial=1, high=252),
+        "id": KEPT(3, 1, initial=1, high=253),
         "baud_rate": KEPT(4, 1, initial=baud, high=254),
         "return_delay": KEPT(5, 1, "time", 2e-6, initial=250, high=254),
         "temperature_limit": KEPT(11, 1, "temperature", initial=temperature, high=100),
         "min_voltage_limit": TENTH_VOLT(12, writable=True, eeprom=True, initial=60, low=50, high=250),
         "max_voltage_limit": TENTH_VOLT(13, writable=True, eeprom=True, initial=voltage, low=50, high=250),
-        "max_torque": FRACTION(14, eeprom=True, initial=FULL),
+        "max_torque": FRACTION(14, eeprom=True, initial=torque),
         "status_return_level": KEPT(16, 1, initial=2, high=2),
         "alarm_led": KEPT(17, 1, initial=36, high=127),
         "shutdown": KEPT(18, 1, initial=36, high=127),
     }
 
 
-def motion(*, angle: float, counts: int, speed: float) -> Mapping[str, Register]:
+def motion(*, angle: float, counts: int, speed: float, torque: int = FULL) -> Mapping[str, Register]:
     """Return what moves and is sensed; `angle` (rad) and `speed` (rad/s) are those of one count."""
     middle, top = counts // 2, counts - 1
     place = partial(Register, size=2, quantity="position", scale=angle, zero=middle)
@@ -53,8 +55,7 @@ def motion(*, angle: float, counts: int, speed: float) -> Mapping[str, Register]
         "led": FLAG(25),
         "goal_position": place(30, writable=True, initial=middle, low=0, high=top),
         "moving_speed": Register(32, 2, "velocity", speed, writable=True, low=0, high=FULL),
-        "goal_velocity": SIGNED(32, quantity="velocity", scale=speed, writable=True),
-        "torque_limit": FRACTION(34, initial=FULL),
+        "torque_limit": FRACTION(34, initial=torque),
         "present_position": place(36, initial=middle, encoding="signed"),
         "present_velocity": SIGNED(38, quantity="velocity", scale=speed),
         "present_load": SIGNED(40, quantity="load", scale=1 / FULL),
@@ -67,9 +68,10 @@ def motion(*, angle: float, counts: int, speed: float) -> Mapping[str, Register]
 
 
 MX_MOTION = motion(angle=2 * pi / 4096, counts=4096, speed=0.114 * RPM)
-AX_MOTION = motion(angle=300 * DEGREE / 1023, counts=1024, speed=0.111 * RPM)
+AX = partial(motion, angle=300 * DEGREE / 1023, counts=1024, speed=0.111 * RPM)
 
 MX_MORE: Mapping[str, Register] = {
+    "goal_velocity": SIGNED(32, quantity="velocity", scale=0.114 * RPM, writable=True),
     "multi_turn_offset": Register(20, 2, encoding="signed", writable=True, eeprom=True, low=-24576, high=24576),
     "resolution_divider": KEPT(22, 1, initial=1, high=4),
     "d_gain": Register(26, 1, writable=True, high=254),
@@ -93,27 +95,29 @@ AX_MORE: Mapping[str, Register] = {
 }
 
 
-def modes(top: int, *, torque: bool = False) -> Mapping[Mode, Mapping[str, int]]:
-    """Return what brings a servo into each mode; `top` is its greatest angle, `torque` whether it controls that."""
-    off = {"torque_control": 0} if torque else {}
-    joint = {"cw_angle_limit": 0, "ccw_angle_limit": top, **off}
-    wheel = {"cw_angle_limit": 0, "ccw_angle_limit": 0, **off}
-    known: dict[Mode, Mapping[str, int]] = {"position": joint, "velocity": joint, "wheel": wheel}
-    return {**known, "torque": {"torque_control": 1}} if torque else known
+JOINT = {"cw_angle_limit": 0, "ccw_angle_limit": 4095}
+WHEEL = {"cw_angle_limit": 0, "ccw_angle_limit": 0}
+MX_28_MODES: Mapping[Mode, Mapping[str, int]] = {"position": JOINT, "velocity": JOINT, "wheel": WHEEL}
+MX_MODES: Mapping[Mode, Mapping[str, int]] = {
+    **{mode: {**written, "torque_control": 0} for mode, written in MX_28_MODES.items()},
+    "torque": {"torque_control": 1},
+}
+# as a wheel it controls no speed: what it takes then is a fraction of its voltage
+AX_JOINT = {"cw_angle_limit": 0, "ccw_angle_limit": 1023}
+AX_MODES: Mapping[Mode, Mapping[str, int]] = {"position": AX_JOINT, "velocity": AX_JOINT}
 
-
-MX = partial(settings, baud=34, temperature=80)
-AX = partial(settings, baud=1, voltage=140)
-MX_28 = {**MX(29, voltage=160), **MX_MOTION, **MX_MORE}
-MX_64 = {**MX(310, voltage=240), **MX_MOTION, **MX_MORE, **MX_TORQUE}
-MX_106 = {**MX(320, voltage=160), **MX_MOTION, **MX_MORE, **MX_TORQUE, "drive_mode": KEPT(10, 1, high=3)}
-AX_12A = {**AX(12, temperature=70), **AX_MOTION, **AX_MORE}
-AX_18A = {**AX(18, temperature=75), **AX_MOTION, **AX_MORE}
+MX_SETTINGS = partial(settings, baud=34, temperature=80)
+AX_SETTINGS = partial(settings, baud=1, voltage=140)
+MX_28 = {**MX_SETTINGS(29, voltage=160), **MX_MOTION, **MX_MORE}
+MX_64 = {**MX_SETTINGS(310, voltage=240), **MX_MOTION, **MX_MORE, **MX_TORQUE}
+MX_106 = {**MX_SETTINGS(320, voltage=160), **MX_MOTION, **MX_MORE, **MX_TORQUE, "drive_mode": KEPT(10, 1, high=3)}
+AX_12A = {**AX_SETTINGS(12, temperature=70), **AX(), **AX_MORE}
+AX_18A = {**AX_SETTINGS(18, temperature=75, torque=983), **AX(torque=983), **AX_MORE}
 
 MODELS = (
-    Model("MX-28", 29, 1, f"{PAGES}/mx/mx-28/", MX_28, modes(4095), 2.5, 55 * RPM),
-    Model("MX-64", 310, 1, f"{PAGES}/mx/mx-64/", MX_64, modes(4095, torque=True), 6.0, 63 * RPM),
-    Model("MX-106", 320, 1, f"{PAGES}/mx/mx-106/", MX_106, modes(4095, torque=True), 8.4, 45 * RPM),
-    Model("AX-12A", 12, 1, f"{PAGES}/ax/ax-12a/", AX_12A, modes(1023), 1.5, 59 * RPM),
-    Model("AX-18A", 18, 1, f"{PAGES}/ax/ax-18a/", AX_18A, modes(1023), 1.8, 97 * RPM),
+    Model("MX-28", 29, 1, f"{PAGES}/mx/mx-28/", MX_28, MX_28_MODES, 2.5, 55 * RPM),
+    Model("MX-64", 310, 1, f"{PAGES}/mx/mx-64/", MX_64, MX_MODES, 6.0, 63 * RPM),
+    Model("MX-106", 320, 1, f"{PAGES}/mx/mx-106/", MX_106, MX_MODES, 8.4, 45 * RPM),
+    Model("AX-12A", 12, 1, f"{PAGES}/ax/ax-12a/", AX_12A, AX_MODES, 1.5, 59 * RPM),
+    Model("AX-18A", 18, 1, f"{PAGES}/ax/ax-18a/", AX_18A, AX_MODES, 1.8, 97 * RPM),
 )

@@ -26,9 +26,14 @@ PWM = partial(Register, size=2, quantity="load", scale=1 / FULL_PWM)
 TENTH_VOLT = partial(Register, size=2, quantity="voltage", scale=0.1)
 
 
-def settings(number: int, *, temperature: int, voltage: tuple[int, int], speed: int) -> Mapping[str, Register]:
-    """Return what is kept without power; limits from the factory in °C, tenths of a volt and counts of speed."""
-    limit = partial(TENTH_VOLT, writable=True, eeprom=True, low=voltage[0], high=voltage[1])
+def settings(
+    number: int, *, temperature: int, voltage: tuple[int, int], speed: int, lowest: int | None = None
+) -> Mapping[str, Register]:
+    """Return what is kept without power; limits from the factory in °C, tenths of a volt and counts of speed.
+
+    `lowest` is the least that the limits of voltage can be set to, where that is below the one from the factory.
+    """
+    limit = partial(TENTH_VOLT, writable=True, eeprom=True, low=lowest or voltage[0], high=voltage[1])
     return {
         "model_number": Register(0, 2, eeprom=True, initial=number),
         "model_information": Register(2, 4, eeprom=True),
@@ -61,11 +66,6 @@ STATE: Mapping[str, Register] = {
     "status_return_level": Register(68, 1, writable=True, initial=2, low=0, high=2),
     "registered": Register(69, 1),
     "hardware_error": Register(70, 1),
-    "velocity_i_gain": GAIN(76, initial=1920),
-    "velocity_p_gain": GAIN(78, initial=100),
-    "position_d_gain": GAIN(80),
-    "position_i_gain": GAIN(82),
-    "position_p_gain": GAIN(84, initial=800),
     "feedforward_2nd_gain": GAIN(88),
     "feedforward_1st_gain": GAIN(90),
     # reads -1 once it has stopped the servo; 0 switches it off, and clears that
@@ -85,13 +85,26 @@ STATE: Mapping[str, Register] = {
     "position_trajectory": PLACE(140, encoding="signed", initial=MIDDLE),
     "present_temperature": Register(146, 1, "temperature", initial=25),
 }
+
+
+def gains(velocity: tuple[int, int], position: tuple[int, int, int]) -> Mapping[str, Register]:
+    """Return the gains of the servo's own controllers, from the factory: PI of velocity and PID of position."""
+    return {
+        "velocity_i_gain": GAIN(76, initial=velocity[1]),
+        "velocity_p_gain": GAIN(78, initial=velocity[0]),
+        "position_d_gain": GAIN(80, initial=position[2]),
+        "position_i_gain": GAIN(82, initial=position[1]),
+        "position_p_gain": GAIN(84, initial=position[0]),
+    }
+
+
 ACCELERATION_LIMIT: Mapping[str, Register] = {
     "acceleration_limit": KEPT(40, 4, "acceleration", ACCELERATION, initial=32767, high=32767)
 }
 XL330_MORE: Mapping[str, Register] = {
     "startup_configuration": KEPT(60, 1, high=3),
     "pwm_slope": Register(62, 1, writable=True, eeprom=True, initial=140, low=1, high=255),
-    "backup_ready": Register(147, 1),
+    "shutdown": KEPT(63, 1, initial=53, high=255),
     "present_voltage": TENTH_VOLT(144, initial=50),
 }
 AT_12_VOLTS: Mapping[str, Register] = {"present_voltage": TENTH_VOLT(144, initial=120)}
@@ -129,19 +142,27 @@ def modes(torque: int) -> Mapping[Mode, Mapping[str, int]]:
 
 BY_CURRENT_MODES, BY_PWM_MODES = modes(0), modes(16)
 
-XL330 = partial(settings, temperature=70, voltage=(35, 70), speed=445)
+XL330 = partial(settings, temperature=70, voltage=(35, 70), lowest=31)
 XM430 = partial(settings, temperature=80, voltage=(95, 160))
 MX = partial(settings, temperature=80, voltage=(95, 160))
-ORDINARY = {**STATE, **ACCELERATION_LIMIT, **AT_12_VOLTS}
+XM430_STATE = {**STATE, **AT_12_VOLTS, **gains((100, 1920), (800, 0, 0)), **by_current(1193)}
+MX_STATE = {**STATE, **AT_12_VOLTS, **ACCELERATION_LIMIT, **gains((100, 1920), (850, 0, 0))}
+XL330_STATE = {**STATE, **XL330_MORE, **by_current(1750)}
 
-XL330_M077 = {**XL330(1190), **STATE, **XL330_MORE, **by_current(1750)}
-XL330_M288 = {**XL330(1200), **STATE, **XL330_MORE, **by_current(1750)}
-XL430_W250 = {**settings(1060, temperature=72, voltage=(60, 140), speed=265), **ORDINARY, **BY_PWM}
-XM430_W210 = {**XM430(1030, speed=330), **ORDINARY, **by_current(1193)}
-XM430_W350 = {**XM430(1020, speed=200), **ORDINARY, **by_current(1193)}
-MX_28 = {**MX(30, speed=230), **ORDINARY, **BY_PWM}
-MX_64 = {**MX(311, speed=285), **ORDINARY, **by_current(1941)}
-MX_106 = {**MX(321, speed=210), **ORDINARY, **by_current(2047)}
+XL330_M077 = {**XL330(1190, speed=1620), **XL330_STATE, **gains((40, 400), (400, 400, 0))}
+XL330_M288 = {**XL330(1200, speed=445), **XL330_STATE, **gains((180, 1600), (400, 0, 0))}
+XL430_W250 = {
+    **settings(1060, temperature=72, voltage=(60, 140), speed=265),
+    **STATE,
+    **AT_12_VOLTS,
+    **gains((100, 1000), (640, 0, 4000)),
+    **BY_PWM,
+}
+XM430_W210 = {**XM430(1030, speed=330), **XM430_STATE}
+XM430_W350 = {**XM430(1020, speed=200), **XM430_STATE}
+MX_28 = {**MX(30, speed=230), **MX_STATE, **BY_PWM}
+MX_64 = {**MX(311, speed=285), **MX_STATE, **by_current(1941)}
+MX_106 = {**MX(321, speed=210), **MX_STATE, **by_current(2047)}
 
 MODELS = (
     Model("MX-28-2.0", 30, 2, f"{PAGES}/mx/mx-28-2/", MX_28, BY_PWM_MODES, 2.5, 55 * RPM),

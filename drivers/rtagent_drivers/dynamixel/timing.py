@@ -16,7 +16,7 @@ def wire(length: int, baud: int) -> int:
 def transaction(request_length: int, reply_lengths: Iterable[int], baud: int, return_delay: int) -> int:
     """Return how long (ns) a request and its replies take.
 
-    Lengths are in bytes of whole packets, `baud` in bit/s; each reply is `return_delay` (ns) later than it could be.
+    Lengths are in bytes of whole packets, `baud` in bit/s; and each reply waits for `return_delay` (ns).
     """
     replies = list(reply_lengths)
     return wire(request_length + sum(replies), baud) + len(replies) * return_delay
