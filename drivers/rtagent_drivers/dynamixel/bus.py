@@ -68,7 +68,9 @@ class Bus:
 
     # What is asked of it
 
-    async def transact(self, request: Request, expected: Mapping[int, int], retries: int = 0) -> Mapping[int, Status]:
+    async def transact(
+        self, request: Request, expected: Mapping[int, int], retries: int = 0
+    ) -> Mapping[int, Status]:
         """Send a request; return the answers by servo, without those that did not come.
 
         `expected` has how many bytes each servo answers, in the order of the answers. While some are missing it is
