@@ -126,7 +126,7 @@ class _Relay(asyncio.Protocol):
 
     def __init__(self, line: SerialLine, receiver: Receiver) -> None:
         self._line = line
-        self.data_received = receiver.data_received  # type: ignore[method-assign]  # no call in between
+        self.data_received = receiver.data_received  # type: ignore[assignment,method-assign]  # no call in between
 
     def connection_lost(self, error: Exception | None) -> None:
         self._line.lost(error)
@@ -177,6 +177,14 @@ def find_port(port: str) -> str:
     if fitting:
         raise DisconnectedError(f"several ports fit {port!r}: {there}. Name one by its serial number or its path.")
     raise DisconnectedError(f"no port fits {port!r}; there is {there}. Plug it in, or give its path.")
+
+
+def stable_name(path: str) -> str:
+    """Return the name of a port that stays the same when it is plugged in anew, where it has one."""
+    real = os.path.realpath(path)
+    links = sorted(Path("/dev/serial/by-id").glob("*"))
+    named = next((str(link) for link in links if os.path.realpath(link) == real), None)
+    return named or os.path.abspath(path)  # noqa: PTH100  # a link is to stay one, not to be resolved
 
 
 def _fits(port: Any, name: str) -> bool:

@@ -8,7 +8,7 @@ import tty
 from collections.abc import Callable, Mapping
 
 from rtagent_drivers.dynamixel.codecs import codec
-from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request, Status
+from rtagent_drivers.dynamixel.packets import Instruction, Request, Status
 from rtagent_drivers.dynamixel.settings import find_model
 from rtagent_drivers.dynamixel.values import pack
 
@@ -69,9 +69,8 @@ class ScriptedServos:
             if not said:
                 break  # those behind it wait for it
             answer += said
-        if request.servo != BROADCAST and request.servo in self.tables and not answer:
-            if request.instruction in (Instruction.PING, Instruction.WRITE):
-                return self.tamper(request.servo, self.codec.status(Status(request.servo, 0)))
+        if request.instruction in (Instruction.PING, Instruction.WRITE) and request.servo in self.tables:
+            return self.tamper(request.servo, self.codec.status(Status(request.servo, 0)))
         return answer
 
 

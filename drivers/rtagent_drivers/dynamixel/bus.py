@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from rtagent.clock import current
@@ -22,6 +23,9 @@ from rtagent_drivers.serial_line import Line, connect
 
 PATIENCE = 10 * ms
 """How much later than the wire allows an answer may be: adapters, kernel, a processor that is busy elsewhere."""
+
+HURRY = 7 * ms
+"""So much less patience there is while a stop is tried again and again."""
 
 DEFAULT_RETURN_DELAY = 500 * us
 
@@ -45,10 +49,18 @@ class Bus:
         self._timer: asyncio.TimerHandle | None = None
         self._clear()
 
+    def _clear(self) -> None:
+        self._exchange: Exchange | None = None
+        self._deadline = self._wakes_at = self._free_at = 0
+        self._urgent: deque[Exchange] = deque()
+        self._asked: deque[Exchange] = deque()
+        self._answers: set[asyncio.Future[Statuses]] = set()
+        self._writes: dict[str, _Write] = {}
+
     async def open(self) -> str:
         """Open the line; return the path of its port. Raises `DisconnectedError`."""
         self._loop, self._now = asyncio.get_running_loop(), current().now
-        self._decoder = self.codec.status_decoder()
+        self._decoder.reset()
         self._line = await connect(self.port, self.baud, self)
         return self._line.path
 
@@ -68,9 +80,7 @@ class Bus:
 
     # What is asked of it
 
-    async def transact(
-        self, request: Request, expected: Mapping[int, int], retries: int = 0
-    ) -> Mapping[int, Status]:
+    async def transact(self, request: Request, expected: dict[int, int], retries: int = 0) -> Mapping[int, Status]:
         """Send a request; return the answers by servo, without those that did not come.
 
         `expected` has how many bytes each servo answers, in the order of the answers. While some are missing it is
@@ -100,16 +110,19 @@ class Bus:
         self._go_on()
         return await waiting.sent
 
-    async def emergency(
-        self, writes: Sequence[Request], read: Request, expected: Mapping[int, int]
-    ) -> Mapping[int, Status]:
-        """Send `writes` and `read` before everything else, and return the answers that came.
+    async def emergency(self, writes: Sequence[Request], asked: Sequence[Question]) -> Mapping[int, Status]:
+        """Send `writes` and what is `asked` before everything else, and return the answers that came.
 
         Commands that wait are dropped. What is on the line is waited for only as long as its answers may take by
         the wire, and not at all where garbage comes.
         """
         self._drop_writes(DeviceError("a stop overtook the command, which was not sent."))
-        return await self._ask(question(self.codec, expected, *writes, read), urgent=True)
+        first = replace(asked[0], data=b"".join(map(self.codec.request, writes)) + asked[0].data)
+        answers = [self._ask(each, urgent=True) for each in (first, *asked[1:])]
+        statuses: dict[int, Status] = {}
+        for answer in answers:
+            statuses |= await answer
+        return statuses
 
     def poll(
         self,
@@ -205,7 +218,7 @@ class Bus:
         asked = exchange.question
         takes = transaction(before + len(asked.data), asked.lengths, self.baud, self.return_delay)
         exchange.sent, exchange.until, exchange.garbage = now, max(now, self._free_at) + takes, self._garbage()
-        self._deadline = exchange.until + self.patience
+        self._deadline = exchange.until + (max(self.patience - HURRY, ms) if exchange.urgent else self.patience)
 
     def _put(self, data: bytes) -> None:
         assert self._line is not None
@@ -255,14 +268,6 @@ class Bus:
             self._arm()
 
     # The end of it
-
-    def _clear(self) -> None:
-        self._exchange: Exchange | None = None
-        self._deadline = self._wakes_at = self._free_at = 0
-        self._urgent: deque[Exchange] = deque()
-        self._asked: deque[Exchange] = deque()
-        self._answers: set[asyncio.Future[Statuses]] = set()
-        self._writes: dict[str, _Write] = {}
 
     def _give_up(self, error: DisconnectedError) -> None:
         """End everything that is under way or waits."""

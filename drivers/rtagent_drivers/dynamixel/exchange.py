@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtagent_drivers.dynamixel.packets import Codec, Request, Status
@@ -15,12 +15,12 @@ class Question:
     """The bytes of requests of which the last is answered, with how many bytes each servo answers, in order."""
 
     data: bytes
-    expected: Mapping[int, int]
+    expected: dict[int, int]
     lengths: tuple[int, ...]
     """Of the packets that answer."""
 
 
-def question(codec: Codec, expected: Mapping[int, int], *requests: Request) -> Question:
+def question(codec: Codec, expected: dict[int, int], *requests: Request) -> Question:
     """Return the question that `requests` ask; `expected` has how many bytes each servo answers to the last."""
     lengths = tuple(codec.status_length(length) for length in expected.values())
     return Question(b"".join(map(codec.request, requests)), expected, lengths)
@@ -39,9 +39,7 @@ class Exchange:
     ) -> None:
         self.question, self.ended, self.urgent = question, ended, urgent
         self.expected = question.expected
-        self.last = -1
-        for self.last in self.expected:
-            pass
+        self.last = next(reversed(self.expected), None)
         self.statuses: Statuses = {}
         self.sent = self.until = self.garbage = 0
 

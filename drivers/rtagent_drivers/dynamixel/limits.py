@@ -54,14 +54,20 @@ class JointLimits:
         self._told_at = now
         return self._told
 
-    def violated(self, reading: Reading, now: int) -> str | None:
-        """Say in a sentence which limit a reading at `now` (ns) is beyond, or return None."""
+    def violated(self, reading: Reading, now: int, on: bool) -> str | None:
+        """Say in a sentence which limit a reading at `now` (ns) is beyond, or return None.
+
+        A joint that is not `on`, its torque off, may be anywhere: somebody may be moving it.
+        """
         axis, joint = self._axis, self._axis.joint
         if reading.temperature > joint.max_temperature:
             return (
                 f"{axis.name} is at {reading.temperature:.0f} °C, above its {joint.max_temperature:.0f} °C: "
                 "let it cool down, and see what loads it."
             )
+        if not on:
+            self._was_inside, self._heavy_since = False, -1
+            return None
         beyond = max(axis.low - reading.position, reading.position - axis.high)
         self._was_inside = self._was_inside or beyond <= 0.0
         if beyond > OVERRUN and self._was_inside:

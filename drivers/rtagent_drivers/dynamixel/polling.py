@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rtagent.units import ms, second, us
-from rtagent_drivers.dynamixel.exchange import Exchange, Question, Statuses, question
+from rtagent_drivers.dynamixel.exchange import Exchange, Question, Statuses
+from rtagent_drivers.dynamixel.orders import questions
 from rtagent_drivers.dynamixel.packets import Codec, Span, Status
 
 FIRST_PAUSE, LONGEST_PAUSE = 10 * ms, 1 * second
@@ -69,16 +70,15 @@ class Roster:
         return min((silence.ask_at for silence in self._silent.values()), default=None)
 
     def _ask(self) -> Sequence[Question]:
-        spans = [span for servo, span in self._together.items() if servo not in self._silent]
-        single = [self._single(servo) for servo in self._singly if servo not in self._silent]
-        if not spans:
-            return single
-        expected = {span.servo: span.length for span in spans}
-        return [question(self._codec, expected, self._codec.group_read(spans)), *single]
+        together, singly = (
+            [span for servo, span in spans.items() if servo not in self._silent]
+            for spans in (self._together, self._singly)
+        )
+        return questions(self._codec, together, singly)
 
     def _single(self, servo: int) -> Question:
         span = self._singly[servo] if servo in self._singly else self._together[servo]
-        return question(self._codec, {servo: span.length}, self._codec.read(span))
+        return questions(self._codec, [], [span])[0]
 
 
 def _first_missing(exchange: Exchange) -> int | None:
