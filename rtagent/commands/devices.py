@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -37,21 +38,22 @@ def devices_command(arguments: argparse.Namespace) -> int:
         sys.stdout.write(json.dumps(listed, indent=2) + "\n")
     else:
         _print(found)
-    return int(any(each.essential and each.problem for findings in found.values() for each in findings))
+    return int(any(map(_is_broken, found.values())))
 
 
 def ids(text: str) -> Sequence[int]:
     """Return the ids that `text` means, such as 1-5,9."""
-    parts = [part.partition("-") for part in text.split(",")]
-    return [number for first, dash, last in parts for number in range(int(first), int(last if dash else first) + 1)]
+    if not re.fullmatch(r"\d+(-\d+)?(,\d+(-\d+)?)*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} names no ids: write 1-5,9")
+    ends = [part.split("-") for part in text.split(",")]
+    return [number for each in ends for number in range(int(each[0]), int(each[-1]) + 1)]
 
 
 def bauds(text: str) -> Sequence[int]:
     """Return the rates (bit/s) that `text` means, such as 1000000,57600."""
-    rates = [int(part) for part in text.split(",")]
-    if min(rates) <= 0:
-        raise ValueError("a rate is above 0")
-    return rates
+    if not re.fullmatch(r"[1-9]\d*(,[1-9]\d*)*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} are no rates: write 1000000,57600")
+    return [int(part) for part in text.split(",")]
 
 
 async def _look(named: Sequence[str], search: Search) -> dict[str, list[Finding]]:
@@ -61,7 +63,13 @@ async def _look(named: Sequence[str], search: Search) -> dict[str, list[Finding]
     for port in ports:
         for name in plugins.names("probes"):
             found[port] += await _probe(name, port, replace(search, named=bool(named)))
+            if _is_broken(found[port]):
+                break  # nothing that is asked of such a port is answered
     return found or {"": [NO_PORT]}
+
+
+def _is_broken(found: Sequence[Finding]) -> bool:
+    return any(finding.essential and finding.problem for finding in found)
 
 
 async def _probe(name: str, port: str, search: Search) -> Sequence[Finding]:
