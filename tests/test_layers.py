@@ -20,11 +20,12 @@ LAYERS = [
     {"features", "learning", "kernels", "policy"},
     {
         "device", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
-        "series", "summary", "recorder", "instruments", "guard",
+        "series", "summary", "recorder", "instruments", "guard", "latch", "health",
+        "latched", "living", "watchdog",
     },
     {
         "agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle",
-        "shutdown",
+        "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rtagent.commands.keyboard import with_keyboard
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
 from rtagent.errors import RtagentError, ScenarioError
+from rtagent.latch import Latch
 from rtagent.realtime import Manners, manners
 from rtagent.result import RunError
 from rtagent.runtime import Habits
@@ -37,9 +39,11 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
     told = _tell_refused(granted.refused)
     result, failure = None, None
+    latch = Latch()
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        result = granted.run(assembly.run([progress] if progress else [], habits))
+        run = assembly.run([progress] if progress else [], habits, latch)
+        result = granted.run(with_keyboard(run, latch, out) if assembly.guarded else run)
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:
