@@ -71,7 +71,7 @@ class Protection:
         return [each for name, sentence in failed.items() for each in found.get(name, [sentence])]
 
     async def end(self, why: str) -> None:
-        """End it, when everything was made safe; say `why` where the run was ended early: hardware stays latched."""
+        """End it, when everything was made safe; say `why` where the run was ended early: this stays latched."""
         if self._process is None:
             return
         if why:

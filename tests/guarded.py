@@ -59,7 +59,7 @@ def write(file: str, what: str) -> None:
 def lines(file: Path) -> list[Line]:
     """Return what happened so far, but for a line that is being written."""
     whole = file.read_text().rpartition("\n")[0].splitlines() if file.exists() else []
-    return [Line(int(when), int(who), what) for when, who, what in map(lambda line: line.split(" ", 2), whole)]
+    return [Line(int(when), int(who), what) for when, who, what in (line.split(" ", 2) for line in whole)]
 
 
 class Guarded(FakeDevice):

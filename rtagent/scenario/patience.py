@@ -37,7 +37,8 @@ def check_tolerance(device: Device, schedule: Schedule) -> None:
         raise SpecError(
             f"it is spoken to every {describe(period)}, and learning keeps the event loop from it for "
             f"{describe(busy)} ({key}): {describe(period)} + {describe(busy)} = {describe(period + busy)} "
-            f"of silence, but its hardware stops by itself after {describe(tolerates)}: have it wait for longer, or {CURE}."
+            f"of silence, but its hardware stops by itself after {describe(tolerates)}: "
+            f"have it wait for longer, or {CURE}."
         )
 
 
