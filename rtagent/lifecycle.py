@@ -166,12 +166,14 @@ class _Life:
     async def _work(self) -> None:
         for device in self._devices.values():
             await device.open()
-        await self._protection.arm()
+        agents = self._make_agents()
         if self._protection.needed:
+            agents = iter(list(agents))  # making one may keep the loop from its heartbeats
+            await self._protection.arm()
             for device in self._devices.values():
                 await device.first_sample()
-        for trial in range(self._plan.trials):
-            agent = self._make_agent(stream(self._plan.seed, "policy", trial)) if trial else self._first_agent
+            self._protection.begun = True
+        for trial, agent in enumerate(agents):
             self._agents.append(agent)
             runtime = self._running = self._runtime(agent, trial)
             for episode in range(self._plan.episodes):
@@ -179,6 +181,12 @@ class _Life:
                 await runtime.run_episode(trial, episode, rngs)
             if trial < self._plan.trials - 1:
                 await runtime.drain(None)
+
+    def _make_agents(self) -> Iterator[Agent]:
+        """Make an agent for each trial, when it is asked for."""
+        yield self._first_agent
+        for trial in range(1, self._plan.trials):
+            yield self._make_agent(stream(self._plan.seed, "policy", trial))
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
         return Runtime(

@@ -5,7 +5,6 @@ In `$XDG_RUNTIME_DIR/rtagent`, or in `rtagent-UID` in the folder of temporary fi
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import tempfile
@@ -30,6 +29,8 @@ class LivingRun:
 @contextmanager
 def told(scenario: str, hardware: Sequence[str]) -> Iterator[None]:
     """Tell others of this run, within the block; raise `DeviceError` where there is no safe place for it."""
+    import fcntl  # not on every system that can run fakes
+
     handle, name = tempfile.mkstemp("", f"{os.getpid()}-", _folder())
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -59,6 +60,8 @@ def _living(place: Path) -> LivingRun | None:
 
 
 def _is_locked(file: IO[str]) -> bool:
+    import fcntl
+
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

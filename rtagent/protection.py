@@ -38,6 +38,8 @@ class Protection:
         self._watchdog, self._latch, self._told = watchdog, latch, told
         self._stack = contextlib.ExitStack()
         self._process: WatchdogProcess | None = None
+        self.begun = False
+        """Whether anything may have moved, so that ending early latches the hardware."""
         self._refuse_latched()
 
     @property
@@ -47,8 +49,6 @@ class Protection:
 
     async def arm(self) -> None:
         """Begin to protect, when the devices are open and nothing has moved; raise an error where that fails."""
-        if not self._guarded:
-            return
         self._refuse_latched()
         if self._latch.fd < 0:
             raise DeviceError("this system has no shared memory for the watchdog, so nothing may move: use Linux.")
@@ -74,7 +74,7 @@ class Protection:
         """End it, when everything was made safe; say `why` where the run was ended early: this stays latched."""
         if self._process is None:
             return
-        if why:
+        if why and self.begun:
             self._keep_latched(why)
         await self._process.end()
         self._process = None

@@ -27,11 +27,14 @@ from rtagent.latch import Latch
 from rtagent.protection import Watchdog
 from rtagent.scenario import assemble, load
 from rtagent.tasks import Stopping
+from rtagent.testing import DeviceContract
 from rtagent.watchdog.process import WatchdogProcess
 
 SHORT = Watchdog(timeout=100 * ms, scenario="toy.toml")
 PATIENT = Watchdog(timeout=2 * second, scenario="toy.toml")
 """For runs that must not be stopped because others keep this machine busy."""
+
+SHORTLY = ["--set", "watchdog.timeout=2s", "--set", "run.episode_time=100ms"]
 
 
 @pytest.fixture
@@ -77,6 +80,15 @@ def watchdogs() -> list[int]:
     """Return the watchdogs of this process."""
     children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
     return [int(child) for child in children if "rtagent.watchdog" in Path(f"/proc/{child}/cmdline").read_text()]
+
+
+class TestGuarded(DeviceContract):
+    @pytest.fixture(autouse=True)
+    def _in_its_own_file(self, hardware: Path) -> None:
+        self.hardware = hardware
+
+    def make_device(self) -> Guarded:
+        return Guarded(file=str(self.hardware))
 
 
 # The latch
@@ -273,7 +285,7 @@ def test_hardware_that_is_latched_is_refused_until_it_is_rearmed(
     assert "too hot" in capsys.readouterr().out
     assert main(["rearm", str(scenario)]) == 0
     assert "was not latched" in capsys.readouterr().out
-    assert main(["run", str(scenario), "--quiet", "--episodes", "1", "--set", "watchdog.timeout=2s"]) == 0
+    assert main(["run", str(scenario), "--quiet", "--episodes", "1", *SHORTLY]) == 0
 
 
 def test_a_damaged_latch_still_latches(hardware: Path) -> None:

@@ -16,7 +16,7 @@ from rtagent import latched
 from rtagent.watchdog.resorts import Resort, make_all_safe
 
 INBOX, OUTBOX = 0, 1
-PATIENCE = 10.0
+PATIENCE = 5.0
 """How long (s) a device is waited for that is being made safe; meanwhile the others are safe already."""
 
 

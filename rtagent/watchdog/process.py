@@ -19,7 +19,8 @@ from rtagent.units import describe, second
 BEATS = 4
 """Heartbeats within the time-out."""
 START_WITHIN = 10 * second
-STOP_WITHIN = 10 * second
+STOP_WITHIN = 6 * second
+"""Somewhat longer than the watchdog waits for a device."""
 END_WITHIN = 1 * second
 
 
