@@ -54,6 +54,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
     run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
     _add_data(run)
+    _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
     _add_set(run)
     run.set_defaults(command=_run)
@@ -63,6 +64,7 @@ def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     check = commands.add_parser("check", help="validate and explain scenarios; run nothing")
     check.add_argument("scenarios", nargs="+", metavar="scenario")
     _add_data(check)
+    _add_fake(check)
     _add_set(check)
     check.set_defaults(command=_check)
 
@@ -76,6 +78,16 @@ def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", help="the recording to play: CSV, gzipped CSV or npz")
+
+
+def _add_fake(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--fake",
+        nargs="?",
+        const="wire",
+        choices=("wire", "process"),
+        help="fakes in place of hardware: emulated on the wire (--fake), or in the process (--fake=process)",
+    )
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:

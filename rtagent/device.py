@@ -30,7 +30,7 @@ class Device(Protocol):
     async def read(self, newer_than: int) -> Sample:
         """Return the newest sample, at once if its sequence number is above `newer_than`, else when one is.
 
-        `newer_than` is -1 for whatever is newest.
+        `newer_than` is -1 for whatever is newest, which an event device gives at once, each time the same.
         """
 
     async def act(self, command: Command) -> Command:
@@ -122,3 +122,19 @@ class Guarded(Protocol):
     @property
     def last_resort(self) -> LastResort:
         """How to make it safe from outside; asked again after each `open`, when a port may have been found."""
+
+
+@runtime_checkable
+class Unhurried(Protocol):
+    """A device that may need longer than a second to become safe, as for its way home."""
+
+    safe_within: int
+    """How long (ns) `make_safe` may take."""
+
+
+@runtime_checkable
+class Impatient(Protocol):
+    """A device whose hardware stops by itself where it hears nothing for a while."""
+
+    tolerates: int
+    """How long (ns) that is (0: it does not stop by itself)."""

@@ -37,6 +37,10 @@ class DisconnectedError(DeviceError):
     """A device went away; the runtime opens it anew within its retry budget."""
 
 
+class LimitError(DeviceError):
+    """A limit was reached beyond which moving is not safe; the run is stopped at once, nothing is tried again."""
+
+
 class PluginError(RtagentError, LookupError):
     """No plug-in of that name, or one that cannot be loaded."""
 

@@ -24,8 +24,9 @@ from rtagent.recorder import Fault, Recorder
 from rtagent.result import LEARNING, Result, RunError
 from rtagent.runtime import NO_HABITS, Habits, Limits, Runtime, agent_prologue
 from rtagent.schedule import Schedule
+from rtagent.shutdown import close_all, make_all_safe
 from rtagent.streams import stream
-from rtagent.supervision import SupervisedDevice, Supervision, close_all, make_all_safe
+from rtagent.supervision import SupervisedDevice, Supervision
 from rtagent.task import Task
 from rtagent.units import ms, second
 from rtagent.urgency import check_urgency

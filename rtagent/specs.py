@@ -127,8 +127,9 @@ class Spec:
 class DeviceSpec:
     """What a device measures and what it can be told: a `Spec` by name for each signal.
 
-    `rate` is how often it is sampled, in Hz (0: as of now, whenever it is read). A `synchronous` device changes
-    only when acted upon: no time passes in it by itself.
+    `rate` is how often it is sampled, in Hz: 0 for as of now, whenever it is read; `math.inf` for an event device,
+    such as a button, which has a new sample only when something happens. A `synchronous` device changes only when
+    acted upon: no time passes in it by itself.
     """
 
     sensors: Mapping[str, Spec] = field(default_factory=dict)

@@ -8,24 +8,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from rtagent.clock import Clock
 from rtagent.device import Counting, Device, Foreseeing, Stimulating
-from rtagent.errors import DeviceError, DisconnectedError
+from rtagent.errors import DeviceError, DisconnectedError, LimitError
 from rtagent.experience import Command, Sample, Stimulus, Values
 from rtagent.guard import HangGuard
 from rtagent.specs import Spec
 from rtagent.units import describe, ms, second
 
-T = TypeVar("T")
-
 FIRST_PAUSE = 1 * ms
 LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
-SAFE_TIMEOUT = 1 * second
 JUST_NOW = 1 * ms
 """A sample that arrived no longer ago is the newest, or the next follows at once."""
 NO_STIMULI: Sequence[Stimulus] = ()
@@ -360,6 +356,8 @@ class SupervisedDevice:
         said = f"{verb} raised {error!r}"
         self._counts[f"{verb}_errors"] += 1
         self._report(self.name, said)
+        if isinstance(error, LimitError):
+            raise error
         calls.failed(self._clock.now(), said, hung=isinstance(error, TimeoutError))
         self._troubled = True
         if isinstance(error, DisconnectedError) and (self._reopening is None or self._reopening.done()):
@@ -409,39 +407,3 @@ class SupervisedDevice:
 
 def _plain(spec: Spec) -> bool:
     return spec.shape == () and spec.dtype != "int"
-
-
-async def make_all_safe(devices: Sequence[SupervisedDevice]) -> list[str]:
-    """Make every device safe, all at once, each within a second; return a sentence for each that failed."""
-    return await _each(devices, lambda device: device.make_safe(), "could not be made safe")
-
-
-async def close_all(devices: Sequence[SupervisedDevice]) -> list[str]:
-    """Close every device, all at once, each within a second; return a sentence for each that failed."""
-    return await _each(devices, lambda device: device.device.close(), "could not be closed")
-
-
-async def _each(
-    devices: Sequence[SupervisedDevice],
-    call: Callable[[SupervisedDevice], Awaitable[None]],
-    failure: str,
-) -> list[str]:
-    tasks = {asyncio.ensure_future(_call(call, device)): device for device in devices}
-    if not tasks:
-        return []
-    done, late = await asyncio.wait(tasks, timeout=SAFE_TIMEOUT / second)
-    for task in late:
-        task.cancel()
-    sentences = [
-        f"device {tasks[task].name!r} {failure}: {error!r}."
-        for task in done
-        if (error := asyncio.CancelledError() if task.cancelled() else task.exception()) is not None
-    ]
-    return sentences + [
-        f"device {tasks[task].name!r} {failure} within {describe(SAFE_TIMEOUT)}: it does not answer."
-        for task in late
-    ]
-
-
-async def _call(call: Callable[[SupervisedDevice], Awaitable[None]], device: SupervisedDevice) -> None:
-    await call(device)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from math import isinf
 from typing import Any
 
 import numpy as np
@@ -35,12 +36,10 @@ def must(condition: bool, sentence: str) -> None:
 class DeviceContract:
     """Tests that every device passes, hardware and fakes alike. Override `make_device`.
 
-    `clock` is the clock to test under. Set `samples_by_itself` to False for a device that has a new sample
-    only when something happens to it. No test may take longer than `patience` seconds.
+    `clock` is the clock to test under. No test may take longer than `patience` seconds.
     """
 
     clock: ClockName = "real"
-    samples_by_itself = True
     patience = 10.0
 
     def make_device(self) -> Device:
@@ -79,7 +78,7 @@ class DeviceContract:
         """`read(newer_than)` returns a sample above that number."""
 
         async def check(device: Device) -> None:
-            if not self.samples_by_itself:
+            if isinf(device.spec.rate):
                 return
             last = await device.read(-1)
             for _ in range(3):
@@ -90,6 +89,20 @@ class DeviceContract:
                 )
                 _check_sample(device, sample)
                 last = sample
+
+        self._with_open_device(check)
+
+    def test_an_event_device_tells_its_state_at_once(self) -> None:
+        """Where `spec.rate` is `math.inf`, `read(-1)` never waits, and repeats a state under its own number."""
+
+        async def check(device: Device) -> None:
+            if not isinf(device.spec.rate):
+                return
+            first, again = await device.read(-1), await device.read(-1)
+            must(
+                again.sequence > first.sequence or again.world_time == first.world_time,
+                "a state was read twice and got another time under the same number.",
+            )
 
         self._with_open_device(check)
 
@@ -128,7 +141,7 @@ class DeviceContract:
         """A `read` that waited for a newer sample while the device acted still returns one."""
 
         async def check(device: Device) -> None:
-            if not self.samples_by_itself:
+            if isinf(device.spec.rate):
                 return
             rng, last = np.random.default_rng(3), await device.read(-1)
             for name, spec in device.spec.actuators.items():

@@ -22,7 +22,10 @@ LAYERS = [
         "device", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
         "series", "summary", "recorder", "instruments", "guard",
     },
-    {"agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle"},
+    {
+        "agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle",
+        "shutdown",
+    },
 ]  # fmt: skip
 EDGES = len(LAYERS)
 """Whatever is in no other layer is an edge."""

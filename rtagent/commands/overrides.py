@@ -10,7 +10,7 @@ from pathlib import Path
 from rtagent.errors import ScenarioError
 from rtagent.scenario.source import Source
 
-OPTIONS = ("clock", "trials", "episodes", "seed")
+OPTIONS = ("clock", "fake", "trials", "episodes", "seed")
 """Options that set the key of their name in the table `run`."""
 
 

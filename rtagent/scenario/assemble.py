@@ -24,6 +24,7 @@ from rtagent.policy import Policy
 from rtagent.realtime import Realtime
 from rtagent.result import Result
 from rtagent.runtime import NO_HABITS, Habits, Limits, agent_prologue
+from rtagent.scenario.devices import build_device
 from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.model import InputTable
 from rtagent.scenario.source import KeyPath
@@ -55,8 +56,8 @@ class Assembly:
 
     @property
     def never_sleeps(self) -> bool:
-        """Whether its loop waits neither for a period nor for the samples of a device."""
-        sampled = any(device.spec.rate for device in self.devices.values())
+        """Whether its loop waits neither for a period nor for what comes from its devices by itself."""
+        sampled = all(device.spec.rate for device in self.devices.values())
         return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
 
     async def run(self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS) -> Result:
@@ -97,7 +98,7 @@ def assemble(scenario: Scenario) -> Assembly:
     devices = {
         name: device
         for name, part in scenario.devices.items()
-        if (device := problems.attempt(part.path, partial(_build, part))) is not None
+        if (device := problems.attempt(part.path, partial(build_device, part, scenario.model.run))) is not None
     }
     complete = len(devices) == len(scenario.devices)
     task = problems.attempt(("task",), lambda: _build(scenario.parts["task"]))

@@ -24,6 +24,9 @@ class RunTable(Table):
     """How much is run, under which clock, from which seed."""
 
     clock: Literal["real", "virtual"] = Field("real", description="the clock of the run")
+    fake: Literal["", "wire", "process"] = Field(
+        "", description="fakes in place of hardware: emulated on the wire, or in the process"
+    )
     seed: int = Field(1, ge=0, description="all random streams are derived from it")
     trials: int = Field(1, ge=1, description="each trial begins with a new agent")
     episodes: int = Field(1, ge=0, description="episodes of each trial; 0: all that a device has, as a recording")
