@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 
 import pytest
 from numpy.random import Generator
 
-from rtagent import Plan, Schedule
+from rtagent import Agent, Plan, Schedule, run
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus, Values
+from rtagent.features import Tabular
+from rtagent.learning import Sarsa
+from rtagent.policy import Greedy
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.tasks import ArmStopping
 from rtagent.units import degree, ms, second
 from rtagent_drivers.fake import FakeDevice, Sampling
 from rtagent_drivers.timer import Timer
-from tests.helpers import stopping_agent, virtually
-from rtagent import run
+from tests.helpers import virtually
 
 MOVE, STOP = 0, 1
 ARM = DeviceSpec(
@@ -72,7 +73,10 @@ def test_a_stop_chosen_in_normal_does_not_answer_the_emergency_that_follows() ->
     assert not seen(stopping, 20 * ms, 0.0, onset=10 * ms).terminated
 
 
-@pytest.mark.parametrize(("velocity", "position", "over"), [(0.5, 0.97, True), (0.5, 0.9, False), (-0.5, -0.97, True), (-0.5, 0.97, False)])
+@pytest.mark.parametrize(
+    ("velocity", "position", "over"),
+    [(0.5, 0.97, True), (0.5, 0.9, False), (-0.5, -0.97, True), (-0.5, 0.97, False)],
+)
 def test_the_end_of_the_range_is_a_miss(velocity: float, position: float, over: bool) -> None:
     assert seen(task(velocity=velocity, margin=0.05), 0, velocity, position=position).terminated is over
 
@@ -133,8 +137,13 @@ def test_an_agent_learns_to_stop_it_and_reacts_after_half_a_learning_step() -> N
     stopping = ArmStopping(joint="arm.elbow", emergency="timer.expired", velocity=30 * degree)
     devices = {"arm": FakeDevice(Turning(), Sampling(rate=100.0)), "timer": Timer()}
     schedule = Schedule.preset("reactive", learn_delay=50 * ms)
-    result = virtually(run(devices, stopping, stopping_agent(stopping), schedule, Plan(episodes=60, seed=1)))
-    assert result.agents[-1].learner.action_values
+    features = Tabular(state=stopping.state)
+    learner = Sarsa(size=features.size, actions=2, alpha=0.1, gamma=0.9, lambda_=0.9)
+    agent = Agent(features, learner, Greedy())
+    result = virtually(run(devices, stopping, agent, schedule, Plan(episodes=60, seed=1)))
+    normal, emergency = (learner.action_values(features.encode((flag,))) for flag in (0.0, 1.0))
+    assert normal[MOVE] > normal[STOP]
+    assert emergency[STOP] > emergency[MOVE]
     assert 15 * ms < result.reaction_time.median < 35 * ms
     assert result.reaction_time.maximum <= 50 * ms
     assert result.response_time.count > 50

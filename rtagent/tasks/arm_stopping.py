@@ -20,10 +20,10 @@ class ArmStopping:
     """Turn a joint at a constant speed, and stop it as soon as a flag says Emergency (thesis, Experiment 1).
 
     `joint` is `device.joint`, `emergency` a flag, `device.sensor`. The joint turns at `velocity` (its sign is the
-    direction) towards its soft limit. The episode ends when the joint is at rest after a stop in Emergency, or, as a
-    miss, within `margin` of that limit. Slower than `at_rest` is at rest. Emergency costs 1 for each `reward_unit`
-    from its onset until the joint is at rest, by the times of the samples; a stop that was chosen in Normal costs
-    1, and the joint does stop. `signals` are further ones for demons, as for the task `stopping`.
+    direction) towards its soft limit. The episode ends when the joint is at rest after a stop in Emergency, or, as
+    a miss, within `margin` of that limit. Slower than `at_rest` is at rest. Emergency costs 1 for each
+    `reward_unit` from its onset until the joint is at rest, by the times of the samples; a stop that was chosen in
+    Normal costs 1, and the joint does stop. `signals` are further ones for demons, as for the task `stopping`.
     """
 
     actions = ("move", "stop")
