@@ -21,6 +21,7 @@ class Idling:
     def __init__(self, devices: Sequence[SupervisedDevice], clock: Clock, episode_time: int) -> None:
         self._devices = devices
         self._synchronous = any(device.device.spec.synchronous for device in devices)
+        self._surprising = any(device.surprising for device in devices)
         self._clock, self._episode_time = clock, episode_time
         self.learning: Callable[[int], int | None] = lambda now: None
 
@@ -40,7 +41,8 @@ class Idling:
             self._instant, self._idle_cycles = now, 0
             return
         self._idle_cycles += 1
-        if (settled and self._idle_cycles > 1) or self._idle_cycles >= IDLE_CYCLES:
+        jumps = settled and self._idle_cycles > 1 and not self._surprising
+        if jumps or self._idle_cycles >= IDLE_CYCLES:
             await self._wait_for_event(now)
 
     async def _wait_for_event(self, now: int) -> None:

@@ -113,6 +113,11 @@ class SupervisedDevice:
         """Whether the device knows when stimuli happen."""
         return self._stimulating is not None or self._flags is not None
 
+    @property
+    def surprising(self) -> bool:
+        """Whether it has new samples by itself, nobody knows when."""
+        return self._foreseeing is None and not self.as_of_now
+
     async def open(self) -> None:
         """Open the device; raises what it raises, or TimeoutError."""
         await self._guard.bound(self.device.open(), OPEN_TIMEOUT, f"{self.name}.open")

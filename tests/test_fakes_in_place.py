@@ -183,7 +183,7 @@ def test_an_agent_sleeps_until_something_happens() -> None:
 
 
 def test_events_come_at_once_beside_a_sampled_device() -> None:
-    joint = stopping_joint(sampling=Sampling(rate=20.0))
+    joint = stopping_joint(sampling=Sampling(rate=40.0))
     times, result = virtually(observed_presses(Button(), [120, 333, 700], joint=joint))
     assert times == [0, 120, 333, 700]
     assert result.device_counters["button"] == {}
