@@ -137,7 +137,7 @@ class _Life:
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
-        specs = {name: device.spec for name, device in devices.items()}
+        specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
         task.bind(specs)
         check_urgency(schedule.learn, task, self._first_agent.learner, specs)
         if self._clock.virtual:

@@ -9,17 +9,19 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from numpy.random import Generator
 
 from rtagent.clock import Clock
 from rtagent.device import Counting, Device, Episodic, Foreseeing, Stimulating
 from rtagent.errors import DeviceError, DisconnectedError, LimitError
+from rtagent.events import Event, Flags
 from rtagent.experience import Command, Sample, Stimulus
 from rtagent.guard import HangGuard
 from rtagent.health import FIRST_PAUSE, LONGEST_PAUSE, Health, Validity
 from rtagent.latch import Latch
+from rtagent.specs import DeviceSpec
 from rtagent.units import describe, ms, second
 
 OPEN_TIMEOUT = 10 * second
@@ -35,11 +37,17 @@ class Supervision:
     """How patient the runtime is with a device; times in ns.
 
     `timeout` is the retry budget: how long calls may fail or hang before the run is ended safely. A sample
-    older than `stale_after` is marked stale in the observation (0: never).
+    older than `stale_after` is marked stale in the observation (0: never). `events` are flags that are added to
+    the device's sensors, by their names.
     """
 
     timeout: int = 500 * ms
     stale_after: int = 0
+    events: Mapping[str, Event] = field(default_factory=dict)
+
+    def spec_of(self, device: Device) -> DeviceSpec:
+        """Return what is sensed of `device`, events included; raise `SpecError` for events that do not fit it."""
+        return Flags(self.events, device.spec).spec
 
 
 class DeadDeviceError(DeviceError):
@@ -67,6 +75,7 @@ class SupervisedDevice:
         self._latch, self._stopped = latch, latch.memory
         validity = Validity(device.spec)
         self._valid, self._why_invalid = validity.holds, validity.why_not
+        self._flags = Flags(supervision.events, device.spec) if supervision.events else None
         self._stimulating = device if isinstance(device, Stimulating) else None
         self._foreseeing = device if isinstance(device, Foreseeing) else None
         self._counts: Counter[str] = Counter()
@@ -85,7 +94,7 @@ class SupervisedDevice:
     @property
     def stimulating(self) -> bool:
         """Whether the device knows when stimuli happen."""
-        return self._stimulating is not None
+        return self._stimulating is not None or self._flags is not None
 
     @property
     def surprising(self) -> bool:
@@ -108,6 +117,8 @@ class SupervisedDevice:
         self.sample = self._observed = None
         self.sequence = self._seen = -1
         self._stimuli_until = time - 1
+        if self._flags is not None:
+            self._flags.begin()
 
     async def read(self, newer_than: int, limit: int = 0) -> bool:
         """Read the newest sample, within `limit` (ns; 0: what is left of the budget); say whether it is a new one.
@@ -215,7 +226,7 @@ class SupervisedDevice:
         else:
             if not self._accept(sample):
                 return self._observe()
-            self._observed, self._seen = sample, sample.sequence  # what _observe does, at each step of a run
+            self._observed, self._seen = self.sample, sample.sequence  # what _observe does, at each step of a run
             return True
         finally:
             self._guard.disarm()
@@ -301,14 +312,15 @@ class SupervisedDevice:
 
     def new_stimuli(self, until: int | None = None) -> Sequence[Stimulus]:
         """Return the stimuli up to the newest sample (or up to `until`, ns) that were not returned before."""
-        if self._stimulating is None or self.sample is None:
+        if self.sample is None:
             return NO_STIMULI
         after = self._stimuli_until
         end = self.sample.world_time if until is None else until
         if end <= after:
             return NO_STIMULI
         self._stimuli_until = end
-        return self._stimulating.stimuli(after, end)
+        own = self._stimulating.stimuli(after, end) if self._stimulating is not None else NO_STIMULI
+        return own if self._flags is None else sorted([*own, *self._flags.stimuli(after, end)])
 
     def next_event(self, now: int) -> int | None:
         """Return when a fake changes next, or when a failing device is tried again; None for never."""
@@ -394,5 +406,5 @@ class SupervisedDevice:
             self._counts["invalid_samples"] += 1
             self._report(self.name, self._why_invalid(sample.values))
             return False
-        self.sample = sample
+        self.sample = sample if self._flags is None else self._flags(sample)
         return True

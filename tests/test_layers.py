@@ -19,7 +19,7 @@ LAYERS = [
     {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory", "learn"},
     {"features", "learning", "kernels", "policy"},
     {
-        "device", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
+        "device", "events", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
         "series", "summary", "recorder", "instruments", "guard", "latch", "health",
         "latched", "living", "watchdog",
     },

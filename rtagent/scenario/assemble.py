@@ -113,10 +113,16 @@ def assemble(scenario: Scenario) -> Assembly:
         for name, part in scenario.devices.items()
         if (device := problems.attempt(part.path, partial(build_device, part, scenario.model.run))) is not None
     }
-    complete = len(devices) == len(scenario.devices)
+    supervision = _supervision(scenario)
+    specs = {
+        name: spec
+        for name, device in devices.items()
+        if (spec := problems.attempt(("devices", name, "events"), partial(supervision[name].spec_of, device)))
+    }
+    complete = len(specs) == len(scenario.devices)
     task = problems.attempt(("task",), lambda: _build(scenario.parts["task"]))
     if task is not None and complete:
-        problems.attempt(("task",), lambda: task.bind({name: device.spec for name, device in devices.items()}))
+        problems.attempt(("task",), lambda: task.bind(specs))
     schedule = problems.attempt(("schedule",), lambda: _schedule(scenario))
     if schedule is not None:
         schedule = problems.attempt(_learn_path(scenario), partial(_with_learn, scenario, schedule))
@@ -129,7 +135,6 @@ def assemble(scenario: Scenario) -> Assembly:
     if schedule is not None and agent is not None:
         before = problems.attempt(("schedule",), partial(agent_prologue, schedule, agent)) or ()
         if task is not None and complete:
-            specs = {name: device.spec for name, device in devices.items()}
             check = partial(check_urgency, schedule.learn, task, agent.learner, specs)
             problems.attempt(_learn_path(scenario), check)
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
@@ -140,10 +145,6 @@ def assemble(scenario: Scenario) -> Assembly:
         problems.attempt(("run", "clock"), partial(refuse_stuck, devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
         raise ScenarioError(problems.sentences)
-    supervision = {
-        name: Supervision(table.supervision.timeout, table.supervision.stale_after)
-        for name, table in scenario.model.devices.items()
-    }
     realtime, watchdog = _realtime(scenario), _watchdog(scenario)
     return Assembly(
         devices, task, make_agent, schedule, before, plan, costs, supervision, memory, realtime, watchdog
@@ -160,6 +161,13 @@ def _check_patience(
         problems.attempt(("watchdog", "timeout"), partial(check_watchdog, timeout, schedule))
     for name, device in guarded.items():
         problems.attempt(scenario.devices[name].path, partial(check_tolerance, device, schedule))
+
+
+def _supervision(scenario: Scenario) -> dict[str, Supervision]:
+    return {
+        name: Supervision(table.supervision.timeout, table.supervision.stale_after, table.events)
+        for name, table in scenario.model.devices.items()
+    }
 
 
 def _refuse_trials(trials: int, size: int) -> None:

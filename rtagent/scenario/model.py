@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from rtagent.errors import did_you_mean
+from rtagent.events import Event
 from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
@@ -186,9 +187,10 @@ class HordeTable(PluginTable):
 
 
 class DeviceTable(PluginTable):
-    """A device: its driver, the driver's settings, and how it is supervised."""
+    """A device: its driver, the driver's settings, events made of its signals, and how it is supervised."""
 
     driver: str
+    events: dict[str, Event] = Field(default_factory=dict)
     supervision: SupervisionTable = Field(default_factory=SupervisionTable)
 
 
