@@ -15,6 +15,7 @@ class Framing(Protocol[Packet_co]):
     header: bytes
     shortest: int
     """As many bytes must be there before a packet can be measured."""
+    longest: int
 
     def end(self, buffer: bytes, start: int) -> int:
         """Return where the packet ends whose header is at `start`; `start` itself where it can be none."""
@@ -32,6 +33,7 @@ class StreamDecoder(Generic[Packet]):
     def __init__(self, framing: Framing[Packet]) -> None:
         self._framing = framing
         self._rest = b""
+        self.longest = framing.longest
         self.damaged = 0
         self.skipped = 0
 
@@ -66,6 +68,8 @@ class StreamDecoder(Generic[Packet]):
             if size - start < framing.shortest:
                 return start
             end = framing.end(buffer, start)
+            if end - start > self.longest:
+                end = start
             if end > size and not framing.cut_short(buffer, start):
                 return start
             packet = framing.parse(buffer[start:end]) if start < end <= size else None
