@@ -9,7 +9,7 @@ from rtagent.errors import DeviceError
 from rtagent.units import describe, ms, second
 from rtagent_drivers.dynamixel.bus import Bus
 from rtagent_drivers.dynamixel.exchange import Question
-from rtagent_drivers.dynamixel.orders import Order, questions, reads_in_groups, switch, sync_writes
+from rtagent_drivers.dynamixel.orders import Order, questions, reads_in_groups, switch, sync_writes, unwatch
 from rtagent_drivers.dynamixel.packets import Span
 from rtagent_drivers.dynamixel.servo import Servo
 from rtagent_drivers.dynamixel.settings import Stop
@@ -52,8 +52,10 @@ async def _attempt(bus: Bus, servos: Sequence[Servo], stop: Stop, now: Callable[
     """Write the safe state of servos, and return those that do not have it."""
     orders = {servo: safe_order(servo, stop, now()) for servo in servos}
     spans = {servo: Span(servo.id, order.address, len(order.data)) for servo, order in orders.items()}
-    writes = sync_writes(bus.codec, {servo.id: order for servo, order in orders.items()})
-    statuses = await bus.emergency(list(writes), _questions(bus, spans))
+    awake = {servo.id: order for servo in servos if (order := unwatch(servo.model)) is not None}
+    safe = {servo.id: order for servo, order in orders.items()}
+    writes = [*sync_writes(bus.codec, awake), *sync_writes(bus.codec, safe)]
+    statuses = await bus.emergency(writes, _questions(bus, spans))
     left = []
     for servo, order in orders.items():
         if servo.id in statuses and statuses[servo.id].parameters == order.data:

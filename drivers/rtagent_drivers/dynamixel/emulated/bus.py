@@ -50,6 +50,7 @@ class EmulatedBus:
         _check(self.servos, protocol)
         self._heard_at = now
         self._baud = self.servos[0].baud
+        self._sagging = now, self.servos[0].model.nominal_voltage
 
     def receive(self, now: int, data: bytes, baud: int | None = None) -> None:
         """Take bytes that the host sends from `now` on, at `baud` (None: at what the first servo listens)."""
@@ -103,7 +104,7 @@ class EmulatedBus:
         return sum(self._line.duration(self._codec.request(each), self._baud) for each in rest)
 
     def _take(self, time: int, request: Request) -> None:
-        hearing = [servo for servo in self.servos if servo.hears(time) and servo.baud == self._baud]
+        hearing = [servo for servo in self.servos if servo.hears(time, self._baud)]
         for servo in hearing:
             servo.advance(time)
             servo.heard(time)
@@ -130,8 +131,10 @@ class EmulatedBus:
 
     def _supply(self, time: int) -> float:
         """Return the voltage at `time`: it sags under the motors' loads."""
-        nominal = self.servos[0].model.nominal_voltage
-        return nominal - SAG * sum(abs(servo.state(time).load) for servo in self.servos)
+        if time != self._sagging[0]:
+            load = sum(abs(servo.state(time).load) for servo in self.servos)
+            self._sagging = time, self.servos[0].model.nominal_voltage - SAG * load
+        return self._sagging[1]
 
     def _tell(self, time: int, servo: Servo, event: str, value: Any) -> None:
         if self._log is not None:
