@@ -311,4 +311,3 @@ def test_it_can_be_guarded_from_outside(bento: EmulatedArm) -> None:
 def test_settings_that_cannot_be_are_refused_with_a_sentence(settings: dict[str, Any], said: str) -> None:
     with pytest.raises(SpecError, match=said):
         Dynamixel(**{"port": "/dev/null", "joints": {"a": Joint(1, "MX-28")}, **settings})
-
