@@ -38,6 +38,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_list(commands)
     _add_stop(commands)
+    _add_emulate(commands)
+    _add_devices(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
     doctor.add_argument("--json", action="store_true", help="print JSON instead")
     doctor.set_defaults(command=_doctor)
@@ -82,10 +84,29 @@ def _add_stop(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    groups = ("drivers", "tasks", "features", "learners", "policies", "schedules")
+    groups = ("drivers", "tasks", "features", "learners", "policies", "emulators", "schedules")
     listing = commands.add_parser("list", help="list what is installed, with one line each")
     listing.add_argument("group", choices=groups)
     listing.set_defaults(command=_list)
+
+
+def _add_emulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    emulate = commands.add_parser("emulate", help="stand in for hardware: servos on a pseudo-terminal")
+    emulate.add_argument("emulator", help="such as bento (see rtagent list emulators)")
+    emulate.add_argument("arguments", nargs=argparse.REMAINDER, help="its own (see rtagent emulate bento --help)")
+    emulate.set_defaults(command=_emulate)
+
+
+def _add_devices(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    devices = commands.add_parser(
+        "devices", help="what is plugged in, what answers there, and what is wrong with it"
+    )
+    devices.add_argument("--port", action="append", default=[], metavar="PATH", help="look there (may be repeated)")
+    devices.add_argument("--ids", type=_ids, metavar="IDS", help="on buses look for these only, such as 1-5,9")
+    devices.add_argument("--bauds", type=_bauds, metavar="RATES", help="at these rates, such as 1000000,57600")
+    devices.add_argument("--mend", action="store_true", help="set what can be set, such as return delays to 0")
+    devices.add_argument("--json", action="store_true", help="print JSON instead")
+    devices.set_defaults(command=_devices)
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
@@ -146,6 +167,30 @@ def _list(arguments: argparse.Namespace) -> int:
     from rtagent.commands.listing import list_command
 
     return list_command(arguments)
+
+
+def _emulate(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.emulate import emulate_command
+
+    return emulate_command(arguments)
+
+
+def _devices(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.devices import devices_command
+
+    return devices_command(arguments)
+
+
+def _ids(text: str) -> Sequence[int]:
+    from rtagent.commands.devices import ids
+
+    return ids(text)
+
+
+def _bauds(text: str) -> Sequence[int]:
+    from rtagent.commands.devices import bauds
+
+    return bauds(text)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
