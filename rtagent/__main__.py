@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 DONE, FAULT, USAGE = 0, 1, 2
 
 EPILOG = (
-    "Exit codes: 0 done; 1 a fault in the run, something was not learned, or it was stopped by a signal "
-    "(devices were made safe); 2 bad scenario or usage."
+    "Exit codes: 0 done; 1 a fault in the run, something was not learned, or it was stopped "
+    "(devices were made safe); 2 bad scenario or usage, or hardware that is latched."
 )
 
 
@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_check(commands)
     _add_list(commands)
+    _add_stop(commands)
     _add_emulate(commands)
     _add_devices(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
@@ -69,6 +70,17 @@ def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     _add_fake(check)
     _add_set(check)
     check.set_defaults(command=_check)
+
+
+def _add_stop(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    for name, command, line in (
+        ("stop", _stop, "make the devices of scenarios safe, from any terminal, also after a crash"),
+        ("rearm", _rearm, "tell why the devices of scenarios are latched, and let them move again"),
+    ):
+        parser = commands.add_parser(name, help=line)
+        parser.add_argument("scenarios", nargs="+", metavar="scenario")
+        _add_set(parser)
+        parser.set_defaults(command=command)
 
 
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -137,6 +149,18 @@ def _check(arguments: argparse.Namespace) -> int:
     from rtagent.commands.check import check_command
 
     return check_command(arguments)
+
+
+def _stop(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.stop import stop_command
+
+    return stop_command(arguments)
+
+
+def _rearm(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.stop import rearm_command
+
+    return rearm_command(arguments)
 
 
 def _list(arguments: argparse.Namespace) -> int:

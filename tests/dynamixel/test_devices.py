@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from emulator_process import emulated
+from wire import EmulatedArm
 
 from rtagent import ms, us
 from rtagent.__main__ import main
@@ -25,13 +25,13 @@ BAUDS, IDS = [1_000_000], range(1, 7)
 @pytest.fixture(scope="module")
 def bento(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Five servos from the factory, of which the fourth has a latched overload."""
-    link = tmp_path_factory.mktemp("bus") / "bento"
-    with emulated("bento", link, "--return-delay", "500us", "--fault", '{"kind": "overload", "servo": 4}') as port:
-        yield port
+    folder, overload = tmp_path_factory.mktemp("bus"), '{"kind": "overload", "servo": 4}'
+    with EmulatedArm(folder, "bento", "--return-delay", "500us", "--fault", overload) as arm:
+        yield arm.port
 
 
 async def test_servos_of_protocol_1_are_found_with_what_is_to_know_of_them(bento: str) -> None:
-    found = await scan.scan(bento, BAUDS, IDS)
+    found = await scan.scan(bento, BAUDS, IDS, protocols=[1])
     assert [(each.servo, each.models[0].name) for each in found] == [
         (1, "MX-64"),
         (2, "MX-106"),
@@ -47,8 +47,8 @@ async def test_servos_of_protocol_1_are_found_with_what_is_to_know_of_them(bento
 
 async def test_servos_of_protocol_2_answer_a_call_to_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scan, "TURN", 200 * us)
-    with emulated("mini_bento", tmp_path / "bus", "--baud", "57600baud") as port:
-        found = await scan.scan(port, [1_000_000, 57_600], range(253), protocols=[2])
+    with EmulatedArm(tmp_path, "mini_bento", "--baud", "57600baud") as arm:
+        found = await scan.scan(arm.port, [1_000_000, 57_600], range(40), protocols=[2])
     assert [(each.servo, each.baud, each.models[0].name) for each in found] == [
         (servo, 57_600, "XL330-M288") for servo in range(1, 6)
     ]

@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from emulator_process import emulated
+from wire import EmulatedArm
 
-from rtagent.errors import DeviceError, DisconnectedError
+from rtagent.device import Device
+from rtagent.errors import DisconnectedError, SpecError
+from rtagent.testing import DeviceContract
 from rtagent_drivers.dynamixel import sdk
 from rtagent_drivers.dynamixel.codecs import codec
+from rtagent_drivers.dynamixel.driver import Dynamixel
 from rtagent_drivers.dynamixel.packets import Instruction, Request, Span, Write
 from rtagent_drivers.dynamixel.sdk import sdk_bus
 from rtagent_drivers.serial_line import Line, Receiver
@@ -22,9 +25,14 @@ LED = {1: 25, 2: 65}
 
 @pytest.fixture(params=[1, 2], scope="module")
 def bus_of(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, str]]:
-    link = tmp_path_factory.mktemp("bus") / "bento"
-    with emulated("bento", link, "--protocol", str(request.param)) as port:
-        yield request.param, port
+    with EmulatedArm(tmp_path_factory.mktemp("bus"), "bento", "--protocol", str(request.param)) as arm:
+        yield request.param, arm.port
+
+
+@pytest.fixture(scope="module")
+def bento(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedArm]:
+    with EmulatedArm(tmp_path_factory.mktemp("bento")) as arm:
+        yield arm
 
 
 async def test_it_reads_and_writes_as_our_own_does(bus_of: tuple[int, str]) -> None:
@@ -45,6 +53,17 @@ async def test_it_reads_and_writes_as_our_own_does(bus_of: tuple[int, str]) -> N
         assert 3 in await bus.transact(ping, {3: 0 if protocol == 1 else 3}, retries=3)
     finally:
         await bus.close()
+
+
+class TestDriver(DeviceContract):
+    """The driver keeps its contract on this back end too."""
+
+    @pytest.fixture(autouse=True)
+    def _port(self, bento: EmulatedArm) -> None:
+        self._bento = bento
+
+    def make_device(self) -> Device:
+        return Dynamixel(port=self._bento.port, joints=self._bento.joints(), rate=100.0, backend="sdk")
 
 
 async def test_a_servo_that_is_not_there_costs_its_own_answer_and_the_next_ones_not(
@@ -72,8 +91,8 @@ async def test_a_port_that_goes_away_is_told(tmp_path: Path) -> None:
             told.set_result(error)
 
     ears: Receiver = Ears()
-    with emulated("bento", tmp_path / "bus") as port:
-        line: Line = await sdk.connect(1, port, 1_000_000, ears)
+    with EmulatedArm(tmp_path) as arm:
+        line: Line = await sdk.connect(1, arm.port, 1_000_000, ears)
     line.write(codec(1).request(Request(1, Instruction.PING)))
     try:
         assert isinstance(await asyncio.wait_for(told, 20), DisconnectedError)
@@ -96,5 +115,5 @@ async def test_a_rate_that_the_sdk_does_not_know_has_a_sentence(bus_of: tuple[in
 
 def test_without_the_sdk_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sdk, "find_spec", lambda name: None)
-    with pytest.raises(DeviceError, match="pip install"):
+    with pytest.raises(SpecError, match="pip install"):
         sdk_bus(codec(1), "/dev/nowhere", 1_000_000)

@@ -219,6 +219,8 @@ class Bus:
     def _begin(self, exchange: Exchange, now: int, before: int) -> None:
         """Note when an exchange goes to the line, after `before` bytes of commands, and until when it may take."""
         asked = exchange.question
+        if asked.lengths:
+            self._decoder.longest = max(asked.lengths) * 4 // 3  # stuffing adds a third at most
         takes = transaction(before + len(asked.data), asked.lengths, self.baud, self.return_delay)
         exchange.sent, exchange.until, exchange.garbage = now, max(now, self._free_at) + takes, self._garbage()
         self._deadline = exchange.until + (max(self.patience - HURRY, ms) if exchange.urgent else self.patience)

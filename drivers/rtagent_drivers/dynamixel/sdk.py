@@ -13,7 +13,7 @@ import sys
 from functools import partial
 from importlib.util import find_spec
 
-from rtagent.errors import DeviceError, DisconnectedError
+from rtagent.errors import DisconnectedError, SpecError
 from rtagent.units import second
 from rtagent_drivers.dynamixel.bus import Bus
 from rtagent_drivers.dynamixel.packets import Codec
@@ -27,9 +27,9 @@ STDIN, STDOUT = 0, 1
 
 
 def sdk_bus(codec: Codec, port: str, baud: int) -> Bus:
-    """Return a bus whose requests the dynamixel-sdk sends; raise `DeviceError` where that is not installed."""
+    """Return a bus whose requests the dynamixel-sdk sends; raise `SpecError` where that is not installed."""
     if find_spec("dynamixel_sdk") is None:
-        raise DeviceError('backend is "sdk", but the dynamixel-sdk is not there: pip install "rtagent[sdk]".')
+        raise SpecError('backend is "sdk", but the dynamixel-sdk is not there: pip install "rtagent[sdk]".')
     return Bus(codec, port, baud, connect=partial(connect, codec.protocol))
 
 
