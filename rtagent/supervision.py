@@ -8,20 +8,25 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from numpy.random import Generator
 
 from rtagent.clock import Clock
-from rtagent.device import Counting, Device, Foreseeing, Stimulating
+from rtagent.device import Counting, Device, Episodic, Foreseeing, Stimulating
 from rtagent.errors import DeviceError, DisconnectedError, LimitError
-from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.events import Event, Flags
+from rtagent.experience import Command, Sample, Stimulus
 from rtagent.guard import HangGuard
-from rtagent.specs import Spec
+from rtagent.health import FIRST_PAUSE, LONGEST_PAUSE, Health, Validity
+from rtagent.latch import Latch
+from rtagent.specs import DeviceSpec
 from rtagent.units import describe, ms, second
 
-FIRST_PAUSE = 1 * ms
-LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
+BEGIN_TIMEOUT = 60 * second
+"""Going to the start of an episode may be a slow move of a real arm."""
 JUST_NOW = 1 * ms
 """A sample that arrived no longer ago is the newest, or the next follows at once."""
 NO_STIMULI: Sequence[Stimulus] = ()
@@ -32,39 +37,21 @@ class Supervision:
     """How patient the runtime is with a device; times in ns.
 
     `timeout` is the retry budget: how long calls may fail or hang before the run is ended safely. A sample
-    older than `stale_after` is marked stale in the observation (0: never).
+    older than `stale_after` is marked stale in the observation (0: never). `events` are flags that are added to
+    the device's sensors, by their names.
     """
 
     timeout: int = 500 * ms
     stale_after: int = 0
+    events: Mapping[str, Event] = field(default_factory=dict)
+
+    def spec_of(self, device: Device) -> DeviceSpec:
+        """Return what is sensed of `device`, events included; raise `SpecError` for events that do not fit it."""
+        return Flags(self.events, device.spec).spec
 
 
 class DeadDeviceError(DeviceError):
     """A device failed for longer than its retry budget."""
-
-
-class _Health:
-    """How one kind of call of a device fares: since when it fails (None: it works), and when to try it again."""
-
-    def __init__(self, timeout: int) -> None:
-        self._timeout = timeout
-        self.failing_since: int | None = None
-        self.retry_at = 0
-        self._pause = FIRST_PAUSE
-        self.last_error = ""
-
-    def failed(self, now: int, error: str, hung: bool) -> None:
-        """Note a failure; a call that hung has used up the budget."""
-        if self.failing_since is None:
-            self.failing_since = now - (self._timeout if hung else 0)
-            self._pause = FIRST_PAUSE
-        self.last_error = error
-        self.retry_at = now + self._pause
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
-
-    def spent(self, now: int) -> int:
-        """Return how long (ns) it has been failing."""
-        return 0 if self.failing_since is None else now - self.failing_since
 
 
 class SupervisedDevice:
@@ -77,18 +64,22 @@ class SupervisedDevice:
         supervision: Supervision,
         clock: Clock,
         guard: HangGuard,
+        latch: Latch,
         report: Callable[[str, str], None],
+        reopened: Callable[[], Awaitable[None]],
     ) -> None:
         self.name, self.device, self.supervision = name, device, supervision
         self._clock, self._guard, self._report = clock, guard, report
+        self._reopened = reopened
         self._reading, self._acting = f"{name}.read", f"{name}.act"
-        sensors = device.spec.sensors.items()
-        self._ranges = [(sensor, spec.low, spec.high) for sensor, spec in sensors if _plain(spec)]
-        self._others = [(sensor, spec) for sensor, spec in sensors if not _plain(spec)]
+        self._latch, self._stopped = latch, latch.memory
+        validity = Validity(device.spec)
+        self._valid, self._why_invalid = validity.holds, validity.why_not
+        self._flags = Flags(supervision.events, device.spec) if supervision.events else None
         self._stimulating = device if isinstance(device, Stimulating) else None
         self._foreseeing = device if isinstance(device, Foreseeing) else None
         self._counts: Counter[str] = Counter()
-        self._reads, self._acts = _Health(supervision.timeout), _Health(supervision.timeout)
+        self._reads, self._acts = Health(supervision.timeout), Health(supervision.timeout)
         self._troubled = False
         self._reopening: asyncio.Task[None] | None = None
         self.sample: Sample | None = None
@@ -103,7 +94,7 @@ class SupervisedDevice:
     @property
     def stimulating(self) -> bool:
         """Whether the device knows when stimuli happen."""
-        return self._stimulating is not None
+        return self._stimulating is not None or self._flags is not None
 
     @property
     def surprising(self) -> bool:
@@ -114,12 +105,20 @@ class SupervisedDevice:
         """Open the device; raises what it raises, or TimeoutError."""
         await self._guard.bound(self.device.open(), OPEN_TIMEOUT, f"{self.name}.open")
 
+    async def go_to_start(self, rng: Generator) -> None:
+        """Bring it to the start of an episode; raise `StoppedError` once the run is stopped."""
+        self.stop_watching()
+        if isinstance(self.device, Episodic):
+            self._latch.check()
+            await self._guard.bound(self.device.begin_episode(rng), BEGIN_TIMEOUT, f"{self.name}.begin_episode")
+
     def begin_episode(self, time: int) -> None:
         """Forget the samples of before `time`, when the device was brought to the start of an episode."""
-        self.stop_watching()
         self.sample = self._observed = None
         self.sequence = self._seen = -1
         self._stimuli_until = time - 1
+        if self._flags is not None:
+            self._flags.begin()
 
     async def read(self, newer_than: int, limit: int = 0) -> bool:
         """Read the newest sample, within `limit` (ns; 0: what is left of the budget); say whether it is a new one.
@@ -140,6 +139,19 @@ class SupervisedDevice:
         if self._troubled:
             self._recovered(reads)
         return self._accept(sample)
+
+    async def first_sample(self) -> Sample:
+        """Wait for the first valid sample: nothing is chosen, and nothing moves, before it."""
+        deadline = self._clock.now() + self.supervision.timeout
+        while self.sample is None:
+            left = deadline - self._clock.now()
+            if left <= 0:
+                raise DeviceError(
+                    f"device {self.name!r} gave no valid sample within {describe(self.supervision.timeout)}, "
+                    "and nothing moves before it: check its connection, or give it a longer timeout."
+                )
+            await self.wait(left)
+        return self.sample
 
     # Watching: a reading that waits for the next sample while something else is done
 
@@ -214,7 +226,7 @@ class SupervisedDevice:
         else:
             if not self._accept(sample):
                 return self._observe()
-            self._observed, self._seen = sample, sample.sequence  # what _observe does, at each step of a run
+            self._observed, self._seen = self.sample, sample.sequence  # what _observe does, at each step of a run
             return True
         finally:
             self._guard.disarm()
@@ -268,7 +280,12 @@ class SupervisedDevice:
         return self._reads.failing_since is not None
 
     async def act(self, command: Command) -> Command | None:
-        """Send a command; return what was sent, or None where it could not be (counted)."""
+        """Send a command; return what was sent, or None where it could not be (counted).
+
+        Raises `StoppedError` once the run is stopped.
+        """
+        if self._stopped[0]:
+            raise self._latch.error()
         acts = self._acts
         if not self._troubled or self._may_call(acts):
             self._guard.arm(self._budget(acts), self._acting)
@@ -295,14 +312,15 @@ class SupervisedDevice:
 
     def new_stimuli(self, until: int | None = None) -> Sequence[Stimulus]:
         """Return the stimuli up to the newest sample (or up to `until`, ns) that were not returned before."""
-        if self._stimulating is None or self.sample is None:
+        if self.sample is None:
             return NO_STIMULI
         after = self._stimuli_until
         end = self.sample.world_time if until is None else until
         if end <= after:
             return NO_STIMULI
         self._stimuli_until = end
-        return self._stimulating.stimuli(after, end)
+        own = self._stimulating.stimuli(after, end) if self._stimulating is not None else NO_STIMULI
+        return own if self._flags is None else sorted([*own, *self._flags.stimuli(after, end)])
 
     def next_event(self, now: int) -> int | None:
         """Return when a fake changes next, or when a failing device is tried again; None for never."""
@@ -328,14 +346,14 @@ class SupervisedDevice:
         own = self.device.counters if isinstance(self.device, Counting) else {}
         return {name: count for name, count in (Counter(own) + self._counts).items() if count}
 
-    def _budget(self, calls: _Health) -> int:
+    def _budget(self, calls: Health) -> int:
         """Return how long (ns) a call may take: what is left of the retry budget."""
         timeout = self.supervision.timeout
         if calls.failing_since is None:
             return timeout
         return max(timeout - calls.spent(self._clock.now()), FIRST_PAUSE)
 
-    def _may_call(self, calls: _Health) -> bool:
+    def _may_call(self, calls: Health) -> bool:
         """Say whether such a call may be made; raise `DeadDeviceError` where either kind has used up its budget."""
         now = self._clock.now()
         for each in (self._reads, self._acts):
@@ -353,11 +371,11 @@ class SupervisedDevice:
         self._counts["retries"] += 1
         return True
 
-    def _recovered(self, calls: _Health) -> None:
+    def _recovered(self, calls: Health) -> None:
         calls.failing_since = None
         self._troubled = any(each.failing_since is not None for each in (self._reads, self._acts))
 
-    def _failed(self, verb: str, calls: _Health, error: Exception) -> None:
+    def _failed(self, verb: str, calls: Health, error: Exception) -> None:
         said = f"{verb} raised {error!r}"
         self._counts[f"{verb}_errors"] += 1
         self._report(self.name, said)
@@ -376,6 +394,7 @@ class SupervisedDevice:
             with contextlib.suppress(Exception):
                 await self.device.close()
                 await self.device.open()
+                await self._reopened()
                 self._counts["reopened"] += 1
                 return
 
@@ -387,28 +406,5 @@ class SupervisedDevice:
             self._counts["invalid_samples"] += 1
             self._report(self.name, self._why_invalid(sample.values))
             return False
-        self.sample = sample
+        self.sample = sample if self._flags is None else self._flags(sample)
         return True
-
-    def _valid(self, values: Values) -> bool:
-        try:
-            for name, low, high in self._ranges:
-                if not low <= values[name] <= high:  # NaN fails too
-                    return False
-            return not self._others or self._others_valid(values)
-        except (KeyError, TypeError, ValueError):
-            return False
-
-    def _others_valid(self, values: Values) -> bool:
-        return all(spec.problem(values[name]) is None for name, spec in self._others)
-
-    def _why_invalid(self, values: Values) -> str:
-        for name, spec in self.device.spec.sensors.items():
-            problem = spec.problem(values[name]) if name in values else "it is not in the sample"
-            if problem is not None:
-                return f"a sample was not usable, sensor {name!r}: {problem}; expected {spec}"
-        return "a sample was not usable"
-
-
-def _plain(spec: Spec) -> bool:
-    return spec.shape == () and spec.dtype != "int"

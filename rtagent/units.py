@@ -21,6 +21,8 @@ us = 1_000
 ms = 1_000_000
 second = 1_000_000_000
 
+degree = math.pi / 180
+
 LARGEST = 2.0**63
 """Whole quantities (ns, baud) are below this."""
 
@@ -102,9 +104,9 @@ TIME = Quantity(
     whole=True,
 )
 FREQUENCY = Quantity("frequency", {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6})
-ANGLE = Quantity("angle", {"rad": 1.0, "turn": 2 * math.pi, "deg": math.pi / 180})
-ANGULAR_VELOCITY = Quantity("angular velocity", {"rad/s": 1.0, "rpm": 2 * math.pi / 60, "deg/s": math.pi / 180})
-ANGULAR_ACCELERATION = Quantity("angular acceleration", {"rad/s²": 1.0, "deg/s²": math.pi / 180})
+ANGLE = Quantity("angle", {"rad": 1.0, "turn": 2 * math.pi, "deg": degree})
+ANGULAR_VELOCITY = Quantity("angular velocity", {"rad/s": 1.0, "rpm": 2 * math.pi / 60, "deg/s": degree})
+ANGULAR_ACCELERATION = Quantity("angular acceleration", {"rad/s²": 1.0, "deg/s²": degree})
 LENGTH = Quantity("length", {"m": 1.0, "mm": 1e-3, "cm": 1e-2})
 SPEED = Quantity("speed", {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2})
 BAUD = Quantity("baud rate", {"baud": 1, "kbaud": 1_000, "Mbaud": 1_000_000}, whole=True)

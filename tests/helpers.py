@@ -18,6 +18,7 @@ from rtagent.learning import Sarsa
 from rtagent.policy import Greedy
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Order
 from rtagent.specs import DeviceSpec, Spec
+from rtagent.supervision import Supervision
 from rtagent.tasks import Stopping
 from rtagent_drivers.stopping import stopping_joint
 
@@ -138,6 +139,7 @@ def run_joint(
     episodes: int = 1,
     costs: Costs | None = None,
     instruments: Iterable[object] = (),
+    supervision: Mapping[str, Supervision] | None = None,
     clock_name: clock.ClockName = "virtual",
 ) -> Result:
     """Run the stopping task with a greedy SARSA agent."""
@@ -150,6 +152,15 @@ def run_joint(
     async def main() -> Result:
         plan = Plan(episodes=episodes, limits=Limits(episode_time=10 * second))
         devices = {"joint": joint or stopping_joint()}
-        return await run(devices, task, make_agent, schedule, plan, costs=costs, instruments=instruments)
+        return await run(
+            devices,
+            task,
+            make_agent,
+            schedule,
+            plan,
+            costs=costs,
+            supervision=supervision,
+            instruments=instruments,
+        )
 
     return clock.run(main(), clock_name)

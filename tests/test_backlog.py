@@ -589,7 +589,7 @@ def test_who_reads_the_weights_beside_a_thread_sees_only_whole_pieces() -> None:
 
 def test_who_asks_for_the_weights_again_and_again_does_not_starve_the_thread() -> None:
     async def story(bench: Bench) -> None:
-        await bench.give(*numbered(50))
+        await bench.give(*numbered(8))
         looks = 0
         async with asyncio.timeout(30):
             while bench.work.length:
@@ -598,7 +598,7 @@ def test_who_asks_for_the_weights_again_and_again_does_not_starve_the_thread() -
                 if looks % 100 == 0:
                     await yield_once()
 
-    assert on_bench(RULES["background"], "real", story).numbers == list(range(50))
+    assert on_bench(RULES["background"], "real", story).numbers == list(range(8))
 
 
 @pytest.mark.parametrize("name", ["sarsa", "true_online_sarsa", "horde", "horde on a horde"])

@@ -19,12 +19,13 @@ LAYERS = [
     {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory", "learn"},
     {"features", "learning", "kernels", "policy"},
     {
-        "device", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
-        "series", "summary", "recorder", "instruments", "guard",
+        "device", "events", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
+        "series", "summary", "recorder", "instruments", "guard", "latch", "health",
+        "latched", "living", "watchdog",
     },
     {
         "agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle",
-        "shutdown",
+        "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

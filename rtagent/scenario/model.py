@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from rtagent.errors import did_you_mean
+from rtagent.events import Event
 from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
@@ -117,6 +118,19 @@ class StopTable(Table):
     drain: Duration = Field(500 * ms, description="how long learning may go on after a signal or a fault")
 
 
+class WatchdogTable(Table):
+    """What watches over a run with real hardware from outside."""
+
+    timeout: Duration = Field(100 * ms, description="so long without a heartbeat of the event loop, and it acts")
+
+    @field_validator("timeout")
+    @classmethod
+    def _within_reach(cls, timeout: int) -> int:
+        if timeout < 10 * ms:
+            raise ValueError("a loop may be woken some milliseconds late: give at least 10ms")
+        return timeout
+
+
 Processor = Annotated[int, Field(ge=0)]
 
 
@@ -173,9 +187,10 @@ class HordeTable(PluginTable):
 
 
 class DeviceTable(PluginTable):
-    """A device: its driver, the driver's settings, and how it is supervised."""
+    """A device: its driver, the driver's settings, events made of its signals, and how it is supervised."""
 
     driver: str
+    events: dict[str, Event] = Field(default_factory=dict)
     supervision: SupervisionTable = Field(default_factory=SupervisionTable)
 
 
@@ -196,3 +211,4 @@ class ScenarioModel(Table):
     horde: HordeTable | None = None
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)
+    watchdog: WatchdogTable = Field(default_factory=WatchdogTable)

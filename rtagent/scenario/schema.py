@@ -6,7 +6,7 @@ from typing import Any
 
 from rtagent import plugins
 from rtagent.scenario.load import TYPED_TABLES
-from rtagent.scenario.model import InputTable, ScenarioModel, SupervisionTable
+from rtagent.scenario.model import InputTable, ScenarioModel
 from rtagent.scenario.settings import settings_model
 
 REF = "#/$defs/{model}"
@@ -16,14 +16,13 @@ def json_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12)."""
     schema = ScenarioModel.model_json_schema(ref_template=REF)
     definitions = schema["$defs"]
-    supervision = SupervisionTable.model_json_schema(ref_template=REF)
-    devices = {"supervision": {**supervision, "default": {}}}
+    devices = {key: each for key, each in definitions["DeviceTable"]["properties"].items() if key != "driver"}
     schema["properties"]["devices"]["additionalProperties"] = _one_of("drivers", "driver", devices, definitions)
     own = {"features": {"input": {"$ref": REF.format(model=InputTable.__name__)}}}
     for table, group in TYPED_TABLES.items():
         schema["properties"][table] = _one_of(group, "type", own.get(table, {}), definitions)
     schema["properties"]["horde"] = _horde_table(schema["properties"]["features"], definitions)
-    for unused in ("DeviceTable", "FeaturesTable", "HordeTable", "TypedTable", "SupervisionTable"):
+    for unused in ("DeviceTable", "FeaturesTable", "HordeTable", "TypedTable"):
         definitions.pop(unused, None)
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "rtagent scenario"

@@ -449,6 +449,6 @@ def _check_starts(arm: Sequence[Axis], stop: Stop) -> None:
 def _bus(backend: str, protocol: int, port: str, baud: int) -> Bus:
     if backend == "own":
         return Bus(codec(protocol), port, baud)
-    from rtagent_drivers.dynamixel.sdk import SdkBus
+    from rtagent_drivers.dynamixel.sdk import sdk_bus
 
-    return SdkBus(codec(protocol), port, baud)
+    return sdk_bus(codec(protocol), port, baud)

@@ -156,6 +156,12 @@ class Servo:
         self.motion.drive(now, LIMP if position is None else Hand(position))
         return True
 
+    def place(self, now: int, position: float) -> None:
+        """Be at `position` (rad) at once, limp and at rest."""
+        self.memory["torque_enable"] = 0
+        self._drive = LIMP
+        self.motion = Motion(self.joint.body, position, now)
+
     def state(self, now: int) -> State:
         """Return the true state of the joint."""
         return self.motion.at(now)

@@ -1,0 +1,157 @@
+"""The stopping task (thesis, section 3.4) on a joint of a real arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rtagent.errors import SpecError
+from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
+from rtagent.specs import DeviceSpec, Spec
+from rtagent.task import require
+from rtagent.tasks.sensors import Readings, numbers_sensed, picked
+from rtagent.units import Angle, AngularVelocity, Duration, degree, second
+
+MOVE, STOP = 0, 1
+EMERGENCY = "emergency"
+
+
+class ArmStopping:
+    """Turn a joint at a constant speed, and stop it as soon as a flag says Emergency (thesis, Experiment 1).
+
+    `joint` is `device.joint`, `emergency` a flag, `device.sensor`. The joint turns at `velocity` (its sign is the
+    direction) towards its soft limit. The episode ends when the joint is at rest after a stop in Emergency, or, as
+    a miss, within `margin` of that limit. Slower than `at_rest` is at rest. Emergency costs 1 for each
+    `reward_unit` from its onset until the joint is at rest, by the times of the samples; a stop that was chosen in
+    Normal costs 1, and the joint does stop. `signals` are further ones for demons, as for the task `stopping`.
+    """
+
+    actions = ("move", "stop")
+
+    def __init__(
+        self,
+        *,
+        joint: str,
+        emergency: str,
+        velocity: AngularVelocity = 30 * degree,
+        margin: Angle = 2 * degree,
+        at_rest: AngularVelocity = 3 * degree,
+        reward_unit: Duration = second,
+        signals: tuple[str, ...] = (),
+    ) -> None:
+        if not (velocity and margin >= 0 and reward_unit > 0):
+            raise SpecError("velocity is not 0, margin 0 or more, reward_unit above 0.")
+        if not 0 < at_rest < abs(velocity):
+            raise SpecError("at_rest is above 0 and below the velocity at which the joint turns.")
+        self._joint, self._flag = _Place.of(joint, "joint"), _Place.of(emergency, "emergency")
+        self._velocity, self._margin, self._at_rest = velocity, margin, at_rest
+        self._costs = _Costs(reward_unit)
+        self._patterns = signals
+        self.state: Mapping[str, Spec] = {EMERGENCY: Spec.flag()}
+        self._readings = Readings(())
+        speed = f"{self._joint.name}_velocity"
+        self._commands = tuple({self._joint.device: {speed: chosen}} for chosen in (velocity, 0.0))
+        self.begin()
+
+    def bind(self, devices: Mapping[str, DeviceSpec]) -> None:
+        """Check that joint and flag are there, and find the signals; raise `SpecError`."""
+        name, device = self._joint.name, self._joint.device
+        self._position_at, self._velocity_at = f"{name}_position", f"{name}_velocity"
+        require(devices, device, (self._position_at, self._velocity_at), (self._velocity_at,))
+        require(devices, self._flag.device, (self._flag.name,), ())
+        if devices[self._flag.device].sensors[self._flag.name].dtype != "bool":
+            raise SpecError(f"emergency is {self._flag}, which is not true or false: name a flag.")
+        devices[device].actuators[self._velocity_at].validate(self._velocity, "velocity")
+        self._end = self._end_of(devices[device].sensors[self._position_at])
+        self._readings = Readings(picked(self._patterns, numbers_sensed(devices)), taken=(EMERGENCY,))
+        self.state = {EMERGENCY: Spec.flag()} | self._readings.specs
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._emergency = self._answered = False
+        self._costs.begin()
+
+    def interpret(self, observation: Observation) -> Outcome:
+        """Return whether it is an Emergency, and the signals; a joint at rest or at its end ends the episode."""
+        joint, flag = (observation.samples[place.device] for place in (self._joint, self._flag))
+        self._emergency = bool(flag.values[self._flag.name])
+        if self._emergency:
+            self._costs.emergency_since(flag.world_time)
+        stopped = self._answered and self._rests(joint)
+        reward = self._costs.since_last(joint.world_time)
+        state = (float(self._emergency), *self._readings(observation))
+        return Outcome(state, reward, stopped or self._at_end(joint))
+
+    def urgent(self, samples: Mapping[str, Sample]) -> bool:
+        """Say that it is urgent from the onset of Emergency until the joint is at rest."""
+        emergency = bool(samples[self._flag.device].values[self._flag.name])
+        return emergency and not self._rests(samples[self._joint.device])
+
+    def commands(self, action: int) -> Mapping[str, Command]:
+        """Return the velocity command of an action; a stop in Normal costs."""
+        self._answered = action == STOP and self._emergency
+        if action == STOP and not self._emergency:
+            self._costs.needless_stop()
+        return self._commands[action]
+
+    def answers(self, action: int, stimulus: Stimulus) -> bool:
+        """Say that stop is the correct answer."""
+        return action == STOP
+
+    def _rests(self, joint: Sample) -> bool:
+        return abs(float(joint.values[self._velocity_at])) < self._at_rest
+
+    def _at_end(self, joint: Sample) -> bool:
+        beyond = float(joint.values[self._position_at]) - self._end
+        return beyond >= 0 if self._velocity > 0 else beyond <= 0
+
+    def _end_of(self, position: Spec) -> float:
+        """Return the position that ends an episode as a miss."""
+        if not 2 * self._margin < position.high - position.low < float("inf"):
+            raise SpecError(f"joint {self._joint} needs soft limits that are further apart than twice the margin.")
+        return position.high - self._margin if self._velocity > 0 else position.low + self._margin
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A name within a device."""
+
+    device: str
+    name: str
+
+    @classmethod
+    def of(cls, text: str, setting: str) -> _Place:
+        device, _, name = text.partition(".")
+        if not name:
+            raise SpecError(f'{setting} is {text!r}: write the device and the name within it, as "arm.elbow".')
+        return cls(device, name)
+
+    def __str__(self) -> str:
+        return f"{self.device}.{self.name}"
+
+
+class _Costs:
+    """What an episode costs, by the times (ns) of samples; each part of it is told once."""
+
+    def __init__(self, unit: int) -> None:
+        self._unit = unit
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._since: int | None = None
+        self._needless, self._told = 0, 0.0
+
+    def emergency_since(self, time: int) -> None:
+        """Note that Emergency began at `time`; only the first time counts."""
+        self._since = time if self._since is None else self._since
+
+    def needless_stop(self) -> None:
+        """Note a stop that nothing called for."""
+        self._needless += 1
+
+    def since_last(self, time: int) -> float:
+        """Return the reward of what happened until `time`, in so far as it was not told before."""
+        emergency = 0.0 if self._since is None else max(0, time - self._since) / self._unit
+        total = -(self._needless + emergency)
+        reward, self._told = total - self._told, total
+        return reward
