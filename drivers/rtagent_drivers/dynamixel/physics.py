@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
-from math import ceil, copysign, cos, exp, inf, isinf, sqrt, tanh
+from math import ceil, copysign, cos, exp, inf, sqrt, tanh
 from typing import NamedTuple, Protocol
 
 from rtagent.units import second
@@ -19,6 +19,9 @@ AMBIENT, HEATING, COOLING_TIME = 25.0, 100.0, 240.0
 
 OVERLOADED_AFTER = 1.0
 """A servo that stands still at its torque limit lets go after so long (s)."""
+
+FOREVER = 1e9
+"""What takes longer (s) does not end."""
 
 GRAIN = 0.005
 """What moves freely is followed in pieces so long (s)."""
@@ -34,8 +37,8 @@ REMEMBERED = 4096
 
 STILL = 1e-9
 """Ways (rad) and speeds (rad/s) too small to matter."""
-CREEP = 1e-3
-"""Speed (rad/s), and load beyond that of friction, at which what moves freely comes to rest."""
+CREEP, STICTION = 0.01, 1.2
+"""What moves freely, slower than this (rad/s), sticks where less pulls it than this many times its friction."""
 STEADY = 1e-3
 """Acceleration (rad/s²) below which a speed is constant."""
 
@@ -98,12 +101,12 @@ class Step(NamedTuple):
         if root < 0 or (root == 0 and surge < 0) or (speed <= 0 and surge <= 0):
             return None
         time = 2.0 * gap / (speed + sqrt(root)) if speed + sqrt(root) > 0 else inf
-        return time if time < self.duration else None
+        return time if time < min(self.duration, FOREVER) else None
 
     def _returns(self, speed: float, surge: float) -> float | None:
         """Return when one that begins at the end and goes inwards is back there."""
         time = -2.0 * speed / surge if surge > 0 else inf
-        return time if time < self.duration else None
+        return time if time < min(self.duration, FOREVER) else None
 
 
 class Drive(Protocol):
@@ -183,7 +186,7 @@ class Push:
 
     def plan(self, body: Body, position: float, velocity: float) -> Iterator[Step]:
         """Yield short steps until it is at rest, or turns at a constant speed."""
-        while abs(velocity) > CREEP or abs(self.presses(body, position)) > body.friction + CREEP:
+        while abs(velocity) > CREEP or abs(self.presses(body, position)) > STICTION * body.friction:
             step = self._step(body, position, velocity)
             yield step
             position, velocity = step.after(step.duration)
@@ -320,7 +323,7 @@ class _Piece:
 
 def _piece(start: int, step: Step, temperature: float, body: Body) -> _Piece:
     """Return a step as a piece of time; it heats by the mean square of the load in it."""
-    endless = isinf(step.duration)
+    endless = step.duration > FOREVER
     moments = (0.0,) if endless else (0.25 * step.duration, 0.75 * step.duration)
     end = None if endless else start + ceil(step.duration * second)
     squares = [_load(step, body, *step.after(moment)) ** 2 for moment in moments]
