@@ -85,6 +85,16 @@ async def test_a_servo_that_has_shut_down_recovers_and_stays_limp(
         assert not arm.state()["elbow"]["torque"]
 
 
+async def test_what_a_servo_does_not_say_is_not_taken_for_zero(tmp_path: Path) -> None:
+    """A torque limit of 0, or torque that is off, would have it mended: one that is mute is left alone."""
+    with EmulatedArm(tmp_path) as arm:
+        async with scan.calling(arm.port, 1_000_000, 1, 253) as bus:
+            arm.fault("silent", 2)
+            mute = await scan.look(bus, 2)
+            assert (mute.number, mute.torque, mute.shut_down, list(mute.complaints)) == (0, None, False, [])
+            assert await scan.mend(bus, mute) == mute
+
+
 def test_the_command_tells_of_each_servo_and_how_to_mend_it(bento: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices", "--port", bento, "--ids", "1,4", "--bauds", "1000000", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)[bento]

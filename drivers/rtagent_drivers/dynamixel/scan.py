@@ -28,7 +28,7 @@ PATIENCE, MOST_PATIENCE, ALL_PATIENCE = 5 * ms, 50 * ms, 2 * second
 
 TRIES = 3
 REBOOTING = 500 * ms
-STATE = ("torque_enable", "hardware_error", "torque_limit")
+STATE = ("torque_enable", "torque_limit", "hardware_error")
 PING_LENGTH = {1: 0, 2: 3}
 COMMON: Mapping[int, Model] = {1: MODELS["MX-28"], 2: MODELS["XL330-M288"]}
 """All servos of a protocol have model number, firmware version and return delay in the same places."""
@@ -40,7 +40,7 @@ RETURN_DELAY_COUNT = 2 * us
 class Found:
     """A servo that answered: what it says of itself, its return delay (ns), and what it complains of.
 
-    `torque` is None where its model is not known; `shut_down`, it has let go by itself and stays limp.
+    `torque` is None where that is not known; `shut_down`, it has let go by itself and stays limp.
     """
 
     servo: int
@@ -106,23 +106,23 @@ async def _call_all(bus: Bus, ids: Sequence[int], length: int) -> Sequence[int] 
 
 
 async def look(bus: Bus, servo: int) -> Found:
-    """Return what a servo says of itself; what it does not say is 0."""
+    """Return what a servo says of itself; its number, firmware or return delay is 0 where it does not say that."""
     protocol = bus.codec.protocol
     told, error = await _read(bus, servo, COMMON[protocol], "model_number", "firmware_version", "return_delay")
-    number, firmware, delay = told.values()
+    number = told.get("model_number", 0)
     model = next(iter(by_number(number, protocol)), None)
     state, _ = await _read(bus, servo, model, *STATE) if model else ({}, 0)
-    limit, hardware_error = state.get("torque_limit"), state.get("hardware_error", 0)
+    torque, limit, hardware_error = (state.get(name) for name in STATE)
     return Found(
         servo,
         protocol,
         bus.baud,
         number,
-        firmware,
-        round(delay * RETURN_DELAY_COUNT),
-        bool(state["torque_enable"]) if "torque_enable" in state else None,
-        limit == 0 or hardware_error != 0,
-        faults.sentences(protocol, error, hardware_error, limit),
+        told.get("firmware_version", 0),
+        round(told.get("return_delay", 0) * RETURN_DELAY_COUNT),
+        None if torque is None else bool(torque),
+        limit == 0 or (bool(hardware_error) and torque == 0),
+        faults.sentences(protocol, error, hardware_error or 0, limit),
     )
 
 
@@ -148,19 +148,21 @@ async def _recover(bus: Bus, found: Found) -> None:
         return
     full, _ = await _read(bus, found.servo, found.models[0], "max_torque")
     await _write(bus, found, "torque_enable", 0)
-    await _write(bus, found, "torque_limit", full.get("max_torque", 0))
+    if full:
+        await _write(bus, found, "torque_limit", full["max_torque"])
 
 
 async def _read(bus: Bus, servo: int, model: Model, *names: str) -> tuple[dict[str, int], int]:
-    """Return the counts in those of the registers that the model has, and the errors that came with them."""
+    """Return the counts in those of the registers that it has and tells, and the errors that came with them."""
     counts: dict[str, int] = {}
     errors = 0
     for name, register in ((name, model.registers[name]) for name in names if name in model.registers):
         request = bus.codec.read(Span(servo, register.address, register.size))
         status = (await bus.transact(request, {servo: register.size}, TRIES - 1)).get(servo)
-        complete = status is not None and len(status.parameters) == register.size
-        counts[name] = unpack(register, status.parameters) if status is not None and complete else 0
-        errors |= 0 if status is None else status.error
+        if status is not None:
+            errors |= status.error
+            if len(status.parameters) == register.size:
+                counts[name] = unpack(register, status.parameters)
     return counts, errors
 
 
