@@ -146,10 +146,10 @@ async def _recover(bus: Bus, found: Found) -> None:
         await bus.transact(Request(found.servo, Instruction.REBOOT), {found.servo: 0})
         await asyncio.sleep(REBOOTING / second)
         return
-    full, _ = await _read(bus, found.servo, found.models[0], "max_torque")
     await _write(bus, found, "torque_enable", 0)
-    if full:
-        await _write(bus, found, "torque_limit", full["max_torque"])
+    told, _ = await _read(bus, found.servo, found.models[0], "torque_enable", "max_torque")
+    if told.get("torque_enable") == 0 and "max_torque" in told:  # with torque on it would move
+        await _write(bus, found, "torque_limit", told["max_torque"])
 
 
 async def _read(bus: Bus, servo: int, model: Model, *names: str) -> tuple[dict[str, int], int]:
