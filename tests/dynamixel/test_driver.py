@@ -43,8 +43,6 @@ def arm(request: pytest.FixtureRequest) -> Iterator[EmulatedArm]:
     for name, joint in emulated.state().items():
         if not joint["torque"]:
             emulated.tell(do="move", joint=name, to=0)
-            if name in WEIGHTLESS:
-                emulated.tell(do="free", joint=name)
     yield emulated
     emulated.mend()
 
