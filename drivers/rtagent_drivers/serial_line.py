@@ -234,7 +234,7 @@ def holders(path: str) -> Sequence[str]:
     return [
         f"{_name(process)} (process {process.name})"
         for process in Path("/proc").glob("[0-9]*")
-        if process.name != str(os.getpid()) and real in _open_files(process)
+        if real in _open_files(process)
     ]
 
 

@@ -19,6 +19,7 @@ from rtagent.units import ms
 from rtagent_drivers.dynamixel.driver import Dynamixel
 from rtagent_drivers.dynamixel.settings import Joint
 
+WEIGHTLESS = ("shoulder", "wrist_rotation", "hand")
 RNG = np.random.default_rng(1)
 
 
@@ -42,7 +43,6 @@ def arm(request: pytest.FixtureRequest) -> Iterator[EmulatedArm]:
     for name, joint in emulated.state().items():
         if not joint["torque"]:
             emulated.tell(do="move", joint=name, to=0)
-            emulated.tell(do="free", joint=name)
     yield emulated
     emulated.mend()
 
@@ -93,6 +93,7 @@ async def test_nothing_moves_before_the_first_command(arm: EmulatedArm) -> None:
         await device.read(3)
         assert not any(joint["torque"] for joint in arm.state().values())
         await device.act({"elbow_position": 0.5})
+        await device.read((await device.read(-1)).sequence + 1)
         assert {name for name, joint in arm.state().items() if joint["torque"]} == {"elbow"}
         await until(device, ("elbow_position", 0.5))
 
@@ -107,7 +108,7 @@ async def test_a_position_is_sent_within_limits_and_returned_as_sent(arm: Emulat
 
 async def test_a_velocity_goes_to_the_soft_limit_and_zero_stops_there(arm: EmulatedArm) -> None:
     async with opened(driver(arm, "velocity")) as device:
-        await device.act({"shoulder_velocity": 1.0})
+        await device.act({"shoulder_velocity": 2.0})
         await until(device, ("shoulder_position", 0.3))
         sent = await device.act({"shoulder_velocity": 0.001})
         assert sent == {"shoulder_velocity": 0.0}
@@ -121,11 +122,11 @@ async def test_a_mirrored_joint_turns_the_other_way_round_its_own_zero(arm: Emul
     joints = arm.joints(mode="velocity", zero=0.2, direction=-1)
     async with opened(driver(arm, joints=joints)) as device:
         before = arm.state()["shoulder"]["position"]
-        await device.act({"shoulder_velocity": 1.0})
+        await device.act({"shoulder_velocity": 3.0})
         sample = await until(device, ("shoulder_position", 0.5))
         after = arm.state()["shoulder"]["position"]
         assert after < before
-        assert sample.values["shoulder_position"] == pytest.approx(-(after - 0.2), abs=0.1)
+        assert sample.values["shoulder_position"] == pytest.approx(-(after - 0.2), abs=0.2)
 
 
 async def test_wheels_and_torque_let_go_when_they_are_made_safe(mini_bento: EmulatedArm) -> None:
@@ -138,6 +139,7 @@ async def test_wheels_and_torque_let_go_when_they_are_made_safe(mini_bento: Emul
         assert 0.0 < float(sent["hand_torque"]) <= 0.11  # what rises in a tenth of a second
         assert 0.0 < float(sent["shoulder_velocity"]) <= 1.1
         await until(device, ("shoulder_velocity", 1.0), within=0.2)
+    await asyncio.sleep(0.12)  # it slows down no faster than it is allowed to speed up
     state = mini_bento.state()
     assert state["shoulder"]["torque"]
     assert abs(state["shoulder"]["velocity"]) < 0.05
@@ -147,18 +149,22 @@ async def test_wheels_and_torque_let_go_when_they_are_made_safe(mini_bento: Emul
 @pytest.mark.parametrize(("stop", "torque"), [("hold", True), ("release", False)])
 async def test_made_safe_it_holds_or_lets_go(arm: EmulatedArm, stop: Any, torque: bool) -> None:
     async with opened(driver(arm, "velocity", stop=stop)) as device:
-        await device.act(dict.fromkeys(device.spec.actuators, 0.5))
+        await device.act(dict.fromkeys(device.spec.actuators, 2.0))
         await until(device, ("shoulder_position", 0.2))
         await device.make_safe()
-        before = arm.state()
-        await asyncio.sleep(0.05)
+        stopped = arm.state()
+        await asyncio.sleep(0.5)
         after = arm.state()
-    assert {joint["torque"] for joint in after.values()} == {torque}
-    assert abs(after["shoulder"]["position"] - before["shoulder"]["position"]) < (0.02 if torque else 0.2)
+    assert {joint["torque"] for joint in (*stopped.values(), *after.values())} == {torque}
+    assert abs(after["shoulder"]["velocity"]) < 0.05
+    if stop == "hold":
+        assert abs(after["elbow"]["position"] - stopped["elbow"]["position"]) < 0.15  # it does not fall
+        async with opened(driver(arm)):
+            pass
 
 
 async def test_home_is_gone_to_before_it_lets_go(arm: EmulatedArm) -> None:
-    joints = arm.joints(start=-0.1)
+    joints = {name: joint for name, joint in arm.joints(start=-0.1).items() if name in WEIGHTLESS}
     device = driver(arm, joints=joints, stop="home")
     async with opened(device):
         await device.begin_episode(RNG)
@@ -196,20 +202,25 @@ async def test_a_joint_that_stays_silent_is_an_error(bento: EmulatedArm) -> None
         bento.mend()
 
 
-@pytest.mark.parametrize("kind", ["overload", "overheat"])
-async def test_what_a_servo_suffers_ends_the_run(arm: EmulatedArm, kind: str) -> None:
-    device = driver(arm)
-    await device.open()
-    arm.fault(kind, 2)
-    with pytest.raises(LimitError, match=r"elbow \(id 2\)"):
-        async with asyncio.timeout(5):
-            while True:
-                await device.read((await device.read(-1)).sequence)
-    with pytest.raises(LimitError):
-        await device.act({"hand_position": 0.0})
-    arm.mend()
-    await device.make_safe()
-    await device.close()
+@pytest.mark.parametrize(
+    ("robot", "kind", "said"),
+    [("bento", "overload", "has been overloaded"), ("mini_bento", "overheat", "is too hot")],
+)
+async def test_what_a_servo_suffers_ends_the_run(robot: str, kind: str, said: str, tmp_path: Path) -> None:
+    with EmulatedArm(tmp_path, robot) as arm:
+        device = driver(arm, joints=arm.joints(max_temperature=100.0))
+        await device.open()
+        arm.fault(kind, 2)
+        with pytest.raises(LimitError, match=rf"elbow \(id 2\) {said}"):
+            async with asyncio.timeout(5):
+                while True:
+                    await device.read((await device.read(-1)).sequence)
+        with pytest.raises(LimitError):
+            await device.act({"hand_position": 0.0})
+        await device.make_safe()
+        await device.close()
+        with pytest.raises(DeviceError, match=rf"elbow \(id 2\) {said}.*switch its power off"):
+            await device.open()
 
 
 async def test_unplugged_it_says_so_and_can_be_opened_anew(arm: EmulatedArm) -> None:
@@ -270,6 +281,19 @@ async def test_a_rate_that_the_wire_cannot_carry_is_refused_with_the_arithmetic(
         assert mended.notes == []
 
 
+async def test_answers_that_waited_for_a_busy_loop_are_not_missing(bento: EmulatedArm) -> None:
+    """The loop is kept busy just after a round was asked for, in a turn in which a timer is due already."""
+    async with opened(driver(bento)) as device:
+        for _ in range(8):
+            await asyncio.sleep(0.003)
+            time.sleep(0.012)  # noqa: ASYNC251  # this is what learning on the loop does
+            await asyncio.sleep(0)
+            await device.act({"hand_position": 0.1})
+            time.sleep(0.02)  # noqa: ASYNC251
+    missing = device.counters.get("rounds_incomplete", 0)
+    assert missing < 4, "only where the emulated bus itself was not let run"
+
+
 async def test_a_loop_that_stalls_finds_out_that_its_servos_have_stopped(mini_bento: EmulatedArm) -> None:
     device = driver(mini_bento, bus_watchdog=20 * ms)
     assert device.tolerates == 20 * ms
@@ -289,7 +313,7 @@ def test_it_can_be_guarded_from_outside(bento: EmulatedArm) -> None:
     assert isinstance(device, Guarded)
     assert isinstance(device, Unhurried)
     assert isinstance(device, Impatient)
-    assert device.last_resort.hardware == device.last_resort.settings["port"] == bento.port
+    assert device.last_resort().hardware == device.last_resort().settings["port"] == bento.port
     assert device.safe_within > 5000 * ms
 
 

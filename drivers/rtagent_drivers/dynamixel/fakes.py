@@ -86,10 +86,9 @@ class EmulatedArm(Dynamixel):
             weakref.finalize(self, _end, self._emulator)
         await super().open()
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process; it is no hardware that would stay latched."""
-        return replace(super().last_resort, hardware="")
+        """Return how to make it safe without this process; it is no hardware that would stay latched."""
+        return replace(super().last_resort(), hardware="")
 
     def tell(self, **order: Any) -> None:
         """Give the emulated bus an order while it runs (see emulated/control.py)."""
@@ -157,7 +156,12 @@ def _started(command: Sequence[str]) -> subprocess.Popen[str]:
     """Return the emulator's process once its link is there; raise `DeviceError` with what it says where it ends."""
     pipe = subprocess.PIPE
     process = subprocess.Popen(  # noqa: S603  # our own module, with our own Python
-        command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True  # Ctrl-C is not for it
+        command,
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,  # Ctrl-C is not for it
     )
     assert process.stdout is not None, "it was asked for"
     if not process.stdout.readline():

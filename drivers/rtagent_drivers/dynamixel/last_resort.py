@@ -53,7 +53,7 @@ TCGETS2, TCSETS2, CBAUD, BOTHER = 0x802C542A, 0x402C542B, 0o010017, 0o010000
 CONTROL_FLAGS, INPUT_SPEED, OUTPUT_SPEED = 2, 9, 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Servo:
     """A servo to be made safe."""
 
@@ -79,6 +79,7 @@ class Spare:
         self._holds = stop != "release"
         self._angles: dict[int, float] = {}
         self._on: dict[int, bool] = {}
+        self._alone = False
         self._fd = -1
         self._error = ""
         with contextlib.suppress(*LINE_ERRORS):  # it is tried again when it is needed
@@ -86,7 +87,7 @@ class Spare:
 
     def make_safe(self) -> Sequence[str]:
         """Release the servos, or hold those whose torque is on; return a sentence for each that did not confirm."""
-        self._angles, self._on = {}, {}
+        self._angles, self._on, self._alone = {}, {}, False
         ends, left = monotonic() + WITHIN, list(self._servos)
         while left and monotonic() < ends:
             try:
@@ -95,6 +96,7 @@ class Spare:
             except LINE_ERRORS as error:
                 self._error = f" ({self._port}: {error})"
                 self.close()
+            self._alone = True  # behind one that is silent the others of a group cannot be heard
             if left:
                 select.select([], [], [], PAUSE)
         return [
@@ -163,13 +165,12 @@ class Spare:
 
     def _ask(self, writes: Sequence[Request], spans: Mapping[Servo, Span]) -> Mapping[int, Status]:
         """Send requests and read spans; return the answers that came."""
-        together = [span for servo, span in spans.items() if reads_in_groups(servo.model)]
-        singly = [span for servo, span in spans.items() if not reads_in_groups(servo.model)]
+        singly = [span for servo, span in spans.items() if self._alone or not reads_in_groups(servo.model)]
+        together = [span for span in spans.values() if span not in singly]
         said = b"".join(map(self._codec.request, writes))
         statuses: dict[int, Status] = {}
         for asked in questions(self._codec, together, singly):
             statuses |= self._exchange(said, asked)
-            said = b""
         return statuses
 
     def _exchange(self, before: bytes, asked: Question) -> Mapping[int, Status]:
