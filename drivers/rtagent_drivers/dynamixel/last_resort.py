@@ -171,7 +171,6 @@ class Spare:
         statuses: dict[int, Status] = {}
         for asked in questions(self._codec, together, singly):
             statuses |= self._exchange(said, asked)
-            said = b""
         return statuses
 
     def _exchange(self, before: bytes, asked: Question) -> Mapping[int, Status]:
