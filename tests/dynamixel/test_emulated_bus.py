@@ -18,8 +18,8 @@ from rtagent_drivers.dynamixel.emulated.control import obey, read_fault
 from rtagent_drivers.dynamixel.emulated.faults import Fault
 from rtagent_drivers.dynamixel.emulated.robots import BENTO, MINI_BENTO, ROBOTS, Joint
 from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request, Span, Status, Write
-from rtagent_drivers.dynamixel.physics import Body
 from rtagent_drivers.dynamixel.protocol2 import PROTOCOL2, split_fast
+from rtagent_drivers.dynamixel.steps import Body
 from rtagent_drivers.dynamixel.timing import transaction
 from rtagent_drivers.dynamixel.values import pack, unpack
 
@@ -412,6 +412,13 @@ def test_an_order_that_cannot_be_is_refused_and_changes_nothing(line: str) -> No
     host = one("MX-28")
     with pytest.raises(SpecError):
         obey(host.bus, host.now, line)
+
+
+def test_joints_that_cannot_be_are_refused() -> None:
+    with pytest.raises(SpecError, match="inertia and friction above 0"):
+        Body(friction=0.0)
+    with pytest.raises(SpecError, match="elbow cannot be at 2 rad"):
+        Joint("elbow", 1, "MX-28", Body(high=1.0), start=2.0)
 
 
 def test_joints_that_cannot_be_on_one_bus_are_refused() -> None:

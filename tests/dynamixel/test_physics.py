@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtagent.units import ms, second
-from rtagent_drivers.dynamixel.physics import (
-    AMBIENT,
-    COOLING_TIME,
-    HEATING,
+from rtagent_drivers.dynamixel.physics import AMBIENT, COOLING_TIME, HEATING, Motion, State
+from rtagent_drivers.dynamixel.steps import (
     LIMP,
     OVERLOADED_AFTER,
     STICTION,
@@ -21,9 +19,7 @@ from rtagent_drivers.dynamixel.physics import (
     Body,
     Drive,
     Hand,
-    Motion,
     Push,
-    State,
     Turn,
 )
 
