@@ -120,7 +120,7 @@ class Dynamixel:
         self._fault: LimitError | None = None
         self._lost: DisconnectedError | None = None
         self._trouble: DeviceError | None = None
-        self._not_before = self._polling_since = self._asked_at = 0
+        self._not_before = self._asked_at = 0
 
     # Life
 
@@ -153,14 +153,14 @@ class Dynamixel:
         roster = self._roster()
         self._notes = opening.check_rate(bus, roster, self.spec.rate, latency, self._path)
         await opening.set_bus_watchdogs(bus, servos, self.tolerates)
-        self._polling_since = self._now()
         bus.poll(roster, round(second / self.spec.rate), self._hear, self._lose)
         await self._first_readings()
         await self._hold_what_is_on()
 
     async def _first_readings(self) -> None:
+        ends = self._now() + FIRST_READINGS
         while silent := [servo.axis.name for servo in self._servos if servo.reading is None]:
-            if self._now() - self._polling_since > FIRST_READINGS:
+            if self._now() > ends:
                 raise DeviceError(
                     f"{', '.join(silent)} cannot be read: check cables, and the firmware of the servos."
                 )
@@ -267,6 +267,8 @@ class Dynamixel:
                 values.update(zip(servo.sensors, reading, strict=True))
                 self._hold_against_limits(servo, reading, round_.ended)
                 answered += 1
+            else:
+                servo.miss(round_.ended)
         self._note_stall(round_.sent)
         self._values = values
         self._incomplete += answered < len(self._servos)
@@ -295,7 +297,11 @@ class Dynamixel:
         """Return an error where a joint has been silent for too long."""
         if not self._silence:
             return None
-        late = [servo for servo in self._servos if now - max(servo.read_at, self._polling_since) > self._silence]
+        late = [
+            servo
+            for servo in self._servos
+            if servo.silent_since is not None and now - servo.silent_since > self._silence
+        ]
         if not late:
             return None
         names = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in late)
