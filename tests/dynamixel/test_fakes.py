@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -193,3 +198,26 @@ def test_a_fake_refuses_what_the_driver_refuses(level: str, settings: dict[str, 
     with pytest.raises(SpecError) as by_the_driver:
         Dynamixel(**given)
     assert str(refused.value) == str(by_the_driver.value)
+
+
+OWNER = """
+from rtagent import clock
+from rtagent_drivers.dynamixel import fakes
+from rtagent_drivers.dynamixel.settings import Joint
+import os, signal
+fakes.LINGER = "300ms"
+arm = fakes.on_wire(port="auto", joints={"elbow": Joint(2, "XL330-M288")}, protocol=2)
+clock.run(arm.open())
+print(arm.last_resort.settings["port"], flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_bus_outlives_its_owner_for_a_while_only() -> None:
+    owner = subprocess.run([sys.executable, "-c", OWNER], capture_output=True, text=True, check=False)
+    port = Path(owner.stdout.strip())
+    assert (owner.returncode, port.is_symlink()) == (-signal.SIGKILL, True)
+    ends = time.monotonic() + 20
+    while port.is_symlink():
+        assert time.monotonic() < ends, "the emulated bus goes on for ever"
+        time.sleep(0.02)
