@@ -178,7 +178,7 @@ def test_an_emulated_bus_that_does_not_begin_says_why() -> None:
 def test_only_what_is_on_the_wire_is_guarded_and_it_is_no_hardware() -> None:
     emulated = arm("wire", MINI, protocol=2)
     assert isinstance(emulated, Guarded)
-    assert emulated.last_resort.hardware == ""
+    assert emulated.last_resort().hardware == ""
     assert not isinstance(arm(), Guarded)
 
 

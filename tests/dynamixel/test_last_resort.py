@@ -42,7 +42,7 @@ async def moving(arm: EmulatedArm, **settings: Any) -> Dynamixel:
 
 async def test_beside_the_owner_it_lets_go_at_once(arm: EmulatedArm) -> None:
     device = await moving(arm)
-    spare = open_spare(json.loads(json.dumps(device.last_resort.settings)))
+    spare = open_spare(json.loads(json.dumps(device.last_resort().settings)))
     assert spare.make_safe() == []
     assert not any(joint["torque"] for joint in arm.state().values())
     spare.close()
@@ -51,7 +51,7 @@ async def test_beside_the_owner_it_lets_go_at_once(arm: EmulatedArm) -> None:
 
 async def test_it_holds_what_is_on_and_leaves_the_rest_limp(arm: EmulatedArm) -> None:
     device = await moving(arm)
-    settings = {**device.last_resort.settings, "stop": "home"}  # which only the driver itself can go
+    settings = {**device.last_resort().settings, "stop": "home"}  # which only the driver itself can go
     spare = open_spare(settings)
     assert spare.make_safe() == []
     spare.close()
@@ -65,7 +65,7 @@ async def test_it_holds_what_is_on_and_leaves_the_rest_limp(arm: EmulatedArm) ->
 
 async def test_it_gets_through_when_garbage_has_cleared(arm: EmulatedArm) -> None:
     device = await moving(arm)
-    spare = open_spare(device.last_resort.settings)
+    spare = open_spare(device.last_resort().settings)
     arm.fault("babble", duration="150ms")
     assert spare.make_safe() == []
     assert not any(joint["torque"] for joint in arm.state().values())
@@ -75,7 +75,7 @@ async def test_it_gets_through_when_garbage_has_cleared(arm: EmulatedArm) -> Non
 
 async def test_it_finds_the_port_again_when_it_was_plugged_in_anew(arm: EmulatedArm) -> None:
     device = await moving(arm)
-    spare = open_spare(device.last_resort.settings)
+    spare = open_spare(device.last_resort().settings)
     await device.close()
     arm.fault("unplug", duration="150ms")
     assert spare.make_safe() == []
@@ -86,7 +86,7 @@ async def test_it_finds_the_port_again_when_it_was_plugged_in_anew(arm: Emulated
 async def test_it_names_what_does_not_confirm(arm: EmulatedArm) -> None:
     device = await moving(arm)
     arm.fault("silent", 2)
-    spare = open_spare(device.last_resort.settings)
+    spare = open_spare(device.last_resort().settings)
     assert spare.make_safe() == ["elbow (id 2) did not confirm that it is safe: switch its power off."]
     assert not arm.state()["shoulder"]["torque"]
     spare.close()

@@ -269,9 +269,14 @@ class Bus:
         if exchange is None:
             self._go_on()
         elif self._now() + TICK >= self._deadline:
-            self._end(exchange)
+            self._loop.call_at(self._loop.time(), self._expire, exchange)  # what has come is received before
         else:
             self._arm()
+
+    def _expire(self, exchange: Exchange) -> None:
+        """End an exchange whose deadline has passed, unless its answers were only waiting for a busy loop."""
+        if exchange is self._exchange:
+            self._end(exchange)
 
     # The end of it
 

@@ -208,9 +208,8 @@ class Dynamixel:
         """How long (ns) `make_safe` may take."""
         return SAFE_WITHIN + (self._home_within if self._stop == "home" else 0)
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process."""
+        """Return how to make it safe without this process; raise `DisconnectedError` where no port fits."""
         path = self._path or find_port(self._port)
         servos = [[servo.id, servo.axis.name, servo.model.name, servo.axis.joint.mode] for servo in self._servos]
         settings = {
