@@ -208,7 +208,7 @@ import os, signal
 fakes.LINGER = "300ms"
 arm = fakes.on_wire(port="auto", joints={"elbow": Joint(2, "XL330-M288")}, protocol=2)
 clock.run(arm.open())
-print(arm.last_resort.settings["port"], flush=True)
+print(arm.last_resort().settings["port"], flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
