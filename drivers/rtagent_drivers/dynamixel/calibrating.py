@@ -69,7 +69,7 @@ class Hands:
 
     async def lead(self) -> Mapping[str, Placing]:
         """Ask for the zero pose, each joint's positive direction, and its ends; return what was found out."""
-        self._take(await self._arm.read(-1))
+        await self._look()
         watching = asyncio.ensure_future(self._watch())
         try:
             return await self._steps(watching)
@@ -109,7 +109,15 @@ class Hands:
             doing.cancel()
             watching.result()
         await doing
-        self._take(await self._arm.read((await self._arm.read(-1)).sequence))
+        await self._look()
+
+    async def _look(self) -> None:
+        """Take where every joint is from now on: one that does not answer is waited for."""
+        sequence, seen = (await self._arm.read(-1)).sequence, set[str]()
+        while seen < set(self._joints):
+            sample = await self._arm.read(sequence)
+            sequence = sample.sequence
+            seen |= self._take(sample)
 
     async def _watch(self) -> None:
         """Follow the joints, so that no end that they reach is missed."""
@@ -119,14 +127,17 @@ class Hands:
             sequence = sample.sequence
             self._take(sample)
 
-    def _take(self, sample: Sample) -> None:
-        for joint in self._joints:
+    def _take(self, sample: Sample) -> set[str]:
+        """Take the joints that answered, and return them."""
+        fresh = {joint for joint in self._joints if sample.values[f"{joint}_fresh"]}
+        for joint in fresh:
             angle = self._angles[joint] = float(sample.values[f"{joint}_position"])
             self._least[joint] = min(angle, self._least.get(joint, angle))
             self._most[joint] = max(angle, self._most.get(joint, angle))
+        return fresh
 
     def _shown(self) -> Mapping[str, str]:
         return {
             joint: f"{angle:+.3f} rad   from {self._least[joint]:+.3f} to {self._most[joint]:+.3f}"
-            for joint, angle in self._angles.items()
+            for joint, angle in sorted(self._angles.items())
         }
