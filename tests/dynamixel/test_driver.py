@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
@@ -102,10 +103,10 @@ async def test_nothing_moves_before_the_first_command(arm: EmulatedArm) -> None:
     async with opened(driver(arm)) as device:
         await device.read(3)
         assert not any(joint["torque"] for joint in arm.state().values())
-        await device.act({"elbow_position": 0.5})
+        await device.act({"elbow_position": 0.1})
         await device.read((await device.read(-1)).sequence + 1)
         assert {name for name, joint in arm.state().items() if joint["torque"]} == {"elbow"}
-        await until(device, ("elbow_position", 0.5))
+        await until(device, ("elbow_position", 0.1))
 
 
 async def test_a_position_is_sent_within_limits_and_returned_as_sent(mini_bento: EmulatedArm) -> None:
@@ -235,6 +236,38 @@ async def test_what_a_servo_suffers_ends_the_run(robot: str, kind: str, said: st
             await device.open()
 
 
+async def test_low_voltage_is_an_error_while_it_lasts(bento: EmulatedArm) -> None:
+    async with opened(driver(bento)) as device:
+        bento.fault("voltage", 1)
+        with pytest.raises(
+            DeviceError, match=r"shoulder \(id 1\) has an input voltage beyond its limits"
+        ) as raised:
+            await read_on(device)
+        assert not isinstance(raised.value, LimitError)
+        bento.mend()
+        await asyncio.sleep(0.05)
+        await device.read((await device.read(-1)).sequence)
+
+
+async def test_a_joint_that_is_not_seen_is_not_switched_on(bento: EmulatedArm) -> None:
+    async with opened(driver(bento, silence=0)) as device:
+        bento.fault("silent", 5)
+        await asyncio.sleep(0.15)
+        with pytest.raises(DeviceError, match="hand was not read lately, so that its torque is not switched on"):
+            await device.act({"hand_position": 0.1})
+        bento.mend()
+
+
+async def test_servos_that_know_no_group_read_are_read_one_by_one(tmp_path: Path) -> None:
+    joints = {"pan": Joint(id=1, model="AX-12A", mode="velocity"), "tilt": Joint(id=7, model="AX-12A")}
+    emulated = [{"name": name, "id": joint.id, "model": joint.model} for name, joint in joints.items()]
+    with EmulatedArm(tmp_path, "bento", "--joints", json.dumps(emulated)) as arm:
+        async with opened(driver(arm, joints=joints, stop="hold")) as device:
+            await device.act({"pan_velocity": 2.0, "tilt_position": 0.1})
+            await until(device, ("pan_velocity", 2.0), ("tilt_position", 0.1), within=0.1)
+        assert {name for name, joint in arm.state().items() if joint["torque"]} == {"pan", "tilt"}
+
+
 async def test_unplugged_it_says_so_and_can_be_opened_anew(bento: EmulatedArm) -> None:
     arm = bento
     device = driver(arm)
@@ -336,7 +369,7 @@ def test_it_can_be_guarded_from_outside(bento: EmulatedArm) -> None:
         ({"joints": {}}, "at least one joint"),
         ({"joints": {"a": Joint(1, "MX-28"), "b": Joint(1, "MX-64")}}, "several joints have the id 1"),
         ({"joints": {"a": Joint(1, "MX-82")}}, "there is no model 'MX-82' with protocol 1.0: did you mean 'MX-28'"),
-        ({"joints": {"a": Joint(1, "MX-28", "torque")}}, "a MX-28 has no mode 'torque'"),
+        ({"joints": {"a": Joint(1, "MX-28", "torque")}}, "MX-28 has no mode 'torque'"),
         ({"joints": {"a": Joint(1, "MX-28", low=1.0, high=0.5)}}, "nothing is left between low and high"),
         ({"joints": {"a": Joint(1, "MX-28", low=0.0, start=-1.0)}}, "start is -1 rad, outside its limits 0 to"),
         ({"joints": {"a": Joint(1, "MX-28", "wheel", start=0.0)}}, "goes to no place: leave out start"),
