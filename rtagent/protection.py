@@ -6,11 +6,11 @@ A run in which nothing is guarded, or one under the virtual clock, has none of i
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from rtagent import latched, living
-from rtagent.device import Device, Guarded, LastResort
+from rtagent.device import Device, LastResort, is_guarded
 from rtagent.errors import DeviceError, StoppedError
 from rtagent.latch import Latch
 from rtagent.units import ms
@@ -34,13 +34,13 @@ class Protection:
     def __init__(
         self, devices: Mapping[str, Device], watchdog: Watchdog, latch: Latch, told: Callable[[str], None]
     ) -> None:
-        self._guarded = {name: device for name, device in devices.items() if isinstance(device, Guarded)}
+        self._guarded = {name: device for name, device in devices.items() if is_guarded(device)}
         self._watchdog, self._latch, self._told = watchdog, latch, told
         self._stack = contextlib.ExitStack()
         self._process: WatchdogProcess | None = None
         self.begun = False
         """Whether anything may have moved, so that ending early latches the hardware."""
-        self._refuse_latched()
+        self._refuse_latched(self._known_hardware())
 
     @property
     def needed(self) -> bool:
@@ -49,7 +49,7 @@ class Protection:
 
     async def arm(self) -> None:
         """Begin to protect, when the devices are open and nothing has moved; raise an error where that fails."""
-        self._refuse_latched()
+        self._refuse_latched(self._hardware())
         if self._latch.fd < 0:
             raise DeviceError("this system has no shared memory for the watchdog, so nothing may move: use Linux.")
         self._stack.enter_context(living.told(self._watchdog.scenario, self._hardware()))
@@ -93,8 +93,14 @@ class Protection:
     def _hardware(self) -> list[str]:
         return [resort.hardware for resort in self._resorts().values()]
 
-    def _refuse_latched(self) -> None:
-        entries = [entry for hardware in self._hardware() if (entry := latched.find(hardware)) is not None]
+    def _known_hardware(self) -> Iterator[str]:
+        """Yield what can be known before anything is opened."""
+        for device in self._guarded.values():
+            with contextlib.suppress(DeviceError):
+                yield device.last_resort.hardware
+
+    def _refuse_latched(self, hardware: Iterable[str]) -> None:
+        entries = [entry for each in hardware if (entry := latched.find(each)) is not None]
         if entries:
             raise StoppedError(
                 f"{'; '.join(map(str, entries))}. See that everybody is clear of it, then run "

@@ -19,7 +19,7 @@ import numpy as np
 
 from rtagent import clock
 from rtagent.clock import ClockName
-from rtagent.device import Device, Episodic, Foreseeing, Guarded, Stimulating
+from rtagent.device import Device, Episodic, Foreseeing, Stimulating, is_guarded
 from rtagent.errors import DeviceError, RtagentError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec, Spec
@@ -279,7 +279,7 @@ class DeviceContract:
         """The last resort of a guarded device works beside its driver, and leaves it usable."""
 
         async def check(device: Device) -> None:
-            if not isinstance(device, Guarded):
+            if not is_guarded(device):
                 return
             must(isinstance(device.last_resort.hardware, str), "last_resort.hardware must be a name, or empty.")
             settings = json.loads(json.dumps(dict(device.last_resort.settings)))
