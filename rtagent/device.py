@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from inspect import getattr_static
-from typing import Any, Protocol, TypeGuard, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.random import Generator
 
@@ -116,20 +115,15 @@ class SpareHandle(Protocol):
         """Let go of the hardware."""
 
 
-class Guarded(Device, Protocol):
+@runtime_checkable
+class Guarded(Protocol):
     """A device that moves something real: it is watched from outside the process, and latched once stopped."""
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe from outside; asked again after each `open`, when a port may have been found.
+        """Return how to make it safe from outside; asked again after each `open`, when a port may have been found.
 
-        Raises `DeviceError` while that is not known.
+        Raises `DeviceError` where nothing is found that could be made safe.
         """
-
-
-def is_guarded(device: object) -> TypeGuard[Guarded]:
-    """Say whether a device is guarded, without asking it for its last resort, which may not be known yet."""
-    return getattr_static(device, "last_resort", None) is not None
 
 
 @runtime_checkable

@@ -19,7 +19,7 @@ import numpy as np
 
 from rtagent import clock
 from rtagent.clock import ClockName
-from rtagent.device import Device, Episodic, Foreseeing, Stimulating, is_guarded
+from rtagent.device import Device, Episodic, Foreseeing, Guarded, Stimulating
 from rtagent.errors import DeviceError, RtagentError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec, Spec
@@ -279,11 +279,12 @@ class DeviceContract:
         """The last resort of a guarded device works beside its driver, and leaves it usable."""
 
         async def check(device: Device) -> None:
-            if not is_guarded(device):
+            if not isinstance(device, Guarded):
                 return
-            must(isinstance(device.last_resort.hardware, str), "last_resort.hardware must be a name, or empty.")
-            settings = json.loads(json.dumps(dict(device.last_resort.settings)))
-            resort = Resort("device", device.last_resort.function, settings)
+            told = device.last_resort()
+            must(isinstance(told.hardware, str), "last_resort.hardware must be a name, or empty.")
+            settings = json.loads(json.dumps(dict(told.settings)))
+            resort = Resort("device", told.function, settings)
             for _ in range(2):
                 not_safe = await asyncio.to_thread(resort.make_safe)
                 must(not not_safe, f"its last resort could not make it safe: {' '.join(not_safe)}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtagent import latched, living
-from rtagent.device import LastResort, is_guarded
+from rtagent.device import Guarded, LastResort
 from rtagent.errors import RtagentError, ScenarioError
 from rtagent.scenario import load_devices
 from rtagent.scenario.load import Part
@@ -87,8 +87,8 @@ def _target(part: Part, scenario: str, problems: list[str]) -> Iterator[Target]:
     name = str(part.path[-1])
     try:
         device = part.plugin(**part.given())
-        if is_guarded(device):
-            yield Target(name, scenario, device.last_resort, safe_within(device) / second)
+        if isinstance(device, Guarded):
+            yield Target(name, scenario, device.last_resort(), safe_within(device) / second)
     except Exception as error:  # a plug-in may raise anything
         said = str(error) if isinstance(error, RtagentError) else repr(error)
         problems.append(f"{scenario}: devices.{name}: {said}")

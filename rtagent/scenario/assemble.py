@@ -12,7 +12,7 @@ from numpy.random import Generator
 from rtagent import plugins
 from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
-from rtagent.device import Device, Finite, is_guarded
+from rtagent.device import Device, Finite, Guarded
 from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs, PairedCoder
 from rtagent.features.inputs import matching
@@ -67,7 +67,7 @@ class Assembly:
     @property
     def guarded(self) -> bool:
         """Whether it moves something real, or what is emulated on the wire."""
-        return any(is_guarded(device) for device in self.devices.values())
+        return any(isinstance(device, Guarded) for device in self.devices.values())
 
     async def run(
         self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS, latch: Latch | None = None
@@ -155,7 +155,7 @@ def _check_patience(
     problems: _Problems, scenario: Scenario, devices: Mapping[str, Device], schedule: Schedule
 ) -> None:
     """Note where the watchdog, or hardware with one of its own, would take learning for a stall."""
-    guarded = {name: device for name, device in devices.items() if is_guarded(device)}
+    guarded = {name: device for name, device in devices.items() if isinstance(device, Guarded)}
     if guarded:
         timeout = scenario.model.watchdog.timeout
         problems.attempt(("watchdog", "timeout"), partial(check_watchdog, timeout, schedule))

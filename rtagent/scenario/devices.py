@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from rtagent import plugins
-from rtagent.device import Device, Foreseeing, is_guarded
+from rtagent.device import Device, Foreseeing, Guarded
 from rtagent.errors import SpecError
 from rtagent.scenario.load import Part
 from rtagent.scenario.model import RunTable
@@ -19,7 +19,7 @@ def build_device(part: Part, run: RunTable) -> Device:
             f"the driver {part.name!r} has no fake, so that this would move real hardware: leave out --fake, "
             "or give the driver its `fakes` (docs/drivers.md)."
         )
-    if run.clock == "virtual" and is_guarded(device):
+    if run.clock == "virtual" and isinstance(device, Guarded):
         raise SpecError(
             "hardware, and what is emulated on the wire, know no virtual clock: "
             'give --fake=process, or run.clock = "real".'

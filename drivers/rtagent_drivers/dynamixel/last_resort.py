@@ -53,7 +53,7 @@ TCGETS2, TCSETS2, CBAUD, BOTHER = 0x802C542A, 0x402C542B, 0o010017, 0o010000
 CONTROL_FLAGS, INPUT_SPEED, OUTPUT_SPEED = 2, 9, 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Servo:
     """A servo to be made safe."""
 
@@ -171,7 +171,6 @@ class Spare:
         statuses: dict[int, Status] = {}
         for asked in questions(self._codec, together, singly):
             statuses |= self._exchange(said, asked)
-            said = b""
         return statuses
 
     def _exchange(self, before: bytes, asked: Question) -> Mapping[int, Status]:
