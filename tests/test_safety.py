@@ -282,6 +282,8 @@ def test_hardware_that_is_latched_is_refused_until_it_is_rearmed(
     assert "stopped by limit: too hot (scenario yesterday.toml)" in said
     assert f"rtagent rearm {scenario}" in said
     assert not hardware.exists(), "it was not even opened"
+    assert main(["check", str(scenario)]) == 0, "that it is latched is not the scenario's fault"
+    assert "a watchdog makes it safe when the event loop stalls for 100 ms" in capsys.readouterr().out
     assert main(["rearm", str(scenario)]) == 0
     assert "too hot" in capsys.readouterr().out
     assert main(["rearm", str(scenario)]) == 0
