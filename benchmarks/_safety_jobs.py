@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from _harness import Row
 
@@ -72,6 +73,10 @@ type = "greedy"
 """
 
 
+STARTS = 5
+"""A run may find the emulated bus slow to answer where others keep the machine busy: it is begun so often."""
+
+
 class TookTooLongError(Exception):
     """Something that was to happen did not."""
 
@@ -93,34 +98,44 @@ class Bench:
         self.read += len(whole.encode()) + 1 if whole else 0
         return [json.loads(line) for line in whole.splitlines()]
 
-    def first(self, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait for an event of the shoulder that fits, and return it."""
+    def first(
+        self, fits: Callable[[dict[str, Any]], bool], unless: Callable[[], bool] = lambda: False
+    ) -> dict[str, Any]:
+        """Wait for an event of the shoulder that fits, and return it; give up where `unless` holds."""
         ends = time.monotonic() + PATIENCE
-        while time.monotonic() < ends:
+        while time.monotonic() < ends and not unless():
             for event in self.events():
                 if event.get("joint") == "shoulder" and fits(event):
                     return event
             time.sleep(0.002)
-        raise TookTooLongError(str(self.log.read_text().splitlines()[-8:]))
+        raise TookTooLongError
 
     def start(self, turn: str) -> subprocess.Popen[bytes]:
-        """Begin a run, and return its process once the joint moves."""
+        """Begin a run, and return its process once the joint moves; one that could not begin is begun again."""
         self.scenario.write_text(SCENARIO.format(port=self.link, timeout=TIMEOUT, turn=turn))
         command = [sys.executable, "-m", "rtagent", "run", str(self.scenario), "--quiet"]
-        run = subprocess.Popen(command, stdin=subprocess.DEVNULL)
-        try:
-            self.first(lambda event: abs(event["velocity"]) > 0.1)
-        except TookTooLongError:
+        for _ in range(STARTS):
+            run = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+            if self._moves(run):
+                return run
             run.kill()
-            raise
-        return run
+            run.wait()
+        raise TookTooLongError
+
+    def _moves(self, run: subprocess.Popen[bytes]) -> bool:
+        """Wait until the joint moves; say whether it does before the run is over."""
+        try:
+            self.first(lambda event: abs(event["velocity"]) > 0.1, unless=lambda: run.poll() is not None)
+        except TookTooLongError:
+            return False
+        return True
 
 
 @contextmanager
 def bench() -> Iterator[Bench]:
     """Emulate an arm with the timing of a true bus, in a folder that takes what stays latched."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["XDG_STATE_HOME"] = os.environ["XDG_RUNTIME_DIR"] = folder
+    homes = ("XDG_STATE_HOME", "XDG_RUNTIME_DIR")
+    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, dict.fromkeys(homes, folder)):
         made = Bench(Path(folder) / "bento", Path(folder) / "log", Path(folder) / "bento.toml")
         command = [sys.executable, "-m", "rtagent", "emulate", "bento", "--link", str(made.link)]
         command += ["--log", str(made.log), "--timing", "true"]
@@ -185,8 +200,8 @@ def _attempts(made: Bench, number: signal.Signals, times: int) -> Iterator[tuple
     for trial in range(times):
         try:
             yield safe_after(made, number, trial)
-        except TookTooLongError as error:
-            print(f"{number.name} {trial}: it was not made safe {error}", file=sys.stderr)
+        except TookTooLongError:
+            print(f"{number.name} {trial}: it was not made safe", file=sys.stderr)
 
 
 if __name__ == "__main__":
