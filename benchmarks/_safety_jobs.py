@@ -115,6 +115,7 @@ class Bench:
         self.scenario.write_text(SCENARIO.format(port=self.link, timeout=TIMEOUT, turn=turn))
         command = [sys.executable, "-m", "rtagent", "run", str(self.scenario), "--quiet"]
         for _ in range(STARTS):
+            self.events()  # those of the run before
             run = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
             if self._moves(run):
                 return run

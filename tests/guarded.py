@@ -29,6 +29,9 @@ episode_time = "10s"
 preset = "reactive"
 period = "5ms"
 
+[watchdog]
+timeout = "500ms"
+
 [devices.joint]
 driver = "guarded"
 file = "{file}"
