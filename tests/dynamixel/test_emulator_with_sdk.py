@@ -135,14 +135,14 @@ def test_protocol_2_reads_and_writes(new: Client) -> None:
 @pytest.mark.parametrize("way", ["sync", "fast sync", "bulk", "fast bulk"])
 def test_protocol_2_reads_groups(new: Client, way: str) -> None:
     bulk = "bulk" in way
-    group = (sdk.GroupBulkRead if bulk else sdk.GroupSyncRead)(new.port, new.handler, *(() if bulk else (132, 15)))
+    group = (sdk.GroupBulkRead if bulk else sdk.GroupSyncRead)(new.port, new.handler, *(() if bulk else (116, 15)))
     for servo in IDS:
-        assert group.addParam(servo, 132, 10 + servo) if bulk else group.addParam(servo)
+        assert group.addParam(servo, 116, 10 + servo) if bulk else group.addParam(servo)
     ask = {"fast sync": "fastSyncRead", "fast bulk": "fastBulkRead"}.get(way, "txRxPacket")
     assert patiently(getattr(group, ask)) == sdk.COMM_SUCCESS
-    assert group.isAvailable(5, 132, 4)
-    singly = {servo: new.read4ByteTxRx(servo, 132)[0] for servo in (1, 3, 5)}
-    assert {servo: group.getData(servo, 132, 4) for servo in (1, 3, 5)} == singly
+    assert group.isAvailable(5, 116, 4)
+    singly = {servo: new.read4ByteTxRx(servo, 116)[0] for servo in (1, 3, 5)}
+    assert {servo: group.getData(servo, 116, 4) for servo in (1, 3, 5)} == singly
 
 
 def test_protocol_2_writes_groups(new: Client) -> None:
