@@ -80,6 +80,7 @@ class Hooks:
         }
         heard = {name for name, calls in self._calls.items() if calls}
         self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
+        self._heard_singly = not heard.isdisjoint(NOTED)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
 
@@ -92,8 +93,8 @@ class Hooks:
         noted, self.noted = self.noted, []
         if self._calls["noted"]:
             self.call("noted", noted)
-        for name, args in noted:
-            if self._calls[name]:
+        if self._heard_singly:
+            for name, args in noted:
                 self.call(name, *args)
 
     def call(self, name: str, *args: Any) -> None:

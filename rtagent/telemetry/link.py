@@ -1,4 +1,4 @@
-"""A run's end of telemetry: it starts the sender, gives the loop what writes to it, and lets go of it in the end."""
+"""A run's end of telemetry: starts the sender, gives the loop what writes to it, lets go of it in the end."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ class Link:
         times = {"epoch_ns": 0, "began_ns": 0} if self._virtual else {"epoch_ns": epoch(), "began_ns": now}
         told = dict(about) | times | {"agent": place.agent, "run": place.run_id, "control": bool(wishes.commands)}
         order = Order(
-            self._fd, RING, tuple(place), told, wishes.publish, wishes.record, bool(wishes.commands),
+            self._fd, RING, (place.agent, place.run_id), told, wishes.publish, wishes.record, bool(wishes.commands),
             list(wishes.commands),
         )  # fmt: skip
-        process = subprocess.Popen(  # noqa: S603  # our own program
+        process = subprocess.Popen(  # our own program
             [sys.executable, "-m", "rtagent.telemetry.sender"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self._fd], bufsize=0,
         )  # fmt: skip
@@ -85,7 +85,7 @@ class Link:
         return process
 
     def _make_room(self) -> None:
-        """Hand on what was appended; under the virtual clock, where the world stands still meanwhile, wait for room."""
+        """Hand on what was appended, at once; the world of the virtual clock stands still meanwhile."""
         pause = threading.Event()
         while self.collector.buffer and self._process.poll() is None:
             if not self._feeder.feed():
@@ -122,7 +122,9 @@ class Link:
             self._process.stdout.close()
         os.close(self._fd)
         if self._wishes.record and not self.closed and not self.collector.troubles:
-            self.collector.troubles.append(f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended.")
+            self.collector.troubles.append(
+                f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended."
+            )
         return list(self.collector.troubles)
 
 

@@ -1,4 +1,4 @@
-"""The records of a run on Zenoh: published, kept for late joiners, described by schemas, and the keys of control."""
+"""A run on Zenoh: its records, the newest of them for late joiners, their schemas, and the keys of control."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ class Publisher:
     `trouble` is told, once, why there is no session.
     """
 
-    def __init__(self, access: Access, place: Place, control: Control | None, trouble: Callable[[str], None]) -> None:
+    def __init__(
+        self, access: Access, place: Place, control: Control | None, trouble: Callable[[str], None]
+    ) -> None:
         self._access, self._place, self._control, self._trouble = access, place, control, trouble
         self._newest: dict[str, bytes] = {}
         self._publishers: dict[str, Any] = {}
@@ -109,4 +111,3 @@ class Publisher:
             query.reply(self._place.control(command), self._control(command, text))  # type: ignore[misc]  # declared
         except TelemetryError as error:
             query.reply_err(str(error))
-
