@@ -58,11 +58,11 @@ def read(path: str | Path) -> Iterator[tuple[str, Record]]:
     for entry in scan:
         yield entry.stream, entry.record()
     if scan.damage != Damage(0, cut=False):
-        raise TelemetryError(f"{path} was cut off or damaged: `rtagent recover {path}` saves what can be read.")
+        raise TelemetryError(f"{path} was cut off or damaged: `rtagent recover {path}` saves what is readable.")
 
 
 def read_run(path: str | Path) -> Run:
-    """Return what a recording tells of its run, the newest there is; raise `TelemetryError` where that is nothing."""
+    """Return what a recording tells of its run, the newest; raise `TelemetryError` where it tells nothing."""
     runs = [entry for entry in Scan(path) if entry.stream == "run"]
     if not runs:
         raise TelemetryError(f"{path} tells of no run: it was cut off at its very beginning, or is another's.")
