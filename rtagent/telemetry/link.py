@@ -31,6 +31,8 @@ LETTING_GO = second // 2
 """How long (ns) the end of a run waits for the sender while that makes no progress."""
 AT_MOST = 30 * second
 """How long (ns) it waits while the sender does."""
+GONE = 0.2
+"""How long (s) it may take to be gone, once it has said its last."""
 ROOM = 0.0005
 """How often (s) a run under the virtual clock looks whether there is room again."""
 
@@ -117,15 +119,21 @@ class Link:
         while self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
             left = self._ring.filled
             self._listener.join(LETTING_GO / second)
-        self._process.returncode = 0  # it ends by itself, and is not waited for
-        if not self._listener.is_alive() and self._process.stdout is not None:
-            self._process.stdout.close()
-        os.close(self._fd)
+        self._let_go()
         if self._wishes.record and not self.closed and not self.collector.troubles:
             self.collector.troubles.append(
                 f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended."
             )
         return list(self.collector.troubles)
+
+    def _let_go(self) -> None:
+        """See the sender's process off; one that still writes ends by itself, and is not waited for."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE if not self._listener.is_alive() else 0)
+        self._process.returncode = 0
+        if not self._listener.is_alive() and self._process.stdout is not None:
+            self._process.stdout.close()
+        os.close(self._fd)
 
 
 def time_of_day() -> str:

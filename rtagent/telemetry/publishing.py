@@ -32,6 +32,7 @@ class Publisher:
         self._newest: dict[str, bytes] = {}
         self._publishers: dict[str, Any] = {}
         self._session: Any = None
+        self._token: Any = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="zenoh", daemon=True)
 
@@ -76,7 +77,7 @@ class Publisher:
 
     def _declare(self, session: Any) -> None:
         zenoh, place = zenoh_module(), self._place
-        session.liveliness().declare_token(place.run)
+        self._token = session.liveliness().declare_token(place.run)  # ends where nobody holds it
         session.declare_queryable(place.key("*"), self._answer_newest)
         session.declare_queryable(place.schema("*"), self._answer_schemas)
         if self._control is not None:
