@@ -1,0 +1,104 @@
+"""The webcam's fakes, made from the driver's own settings: a world in the process, and the driver on an emulated camera."""
+
+from __future__ import annotations
+
+from threading import Event
+from typing import Any
+
+from rtagent.clock import RealClock
+from rtagent.device import Device
+from rtagent.errors import SpecError
+from rtagent.streams import stream
+from rtagent.units import second
+from rtagent_drivers.fake import FakeDevice, Faults, Sampling
+from rtagent_drivers.webcam.driver import Webcam
+from rtagent_drivers.webcam.emulated import EmulatedKernel
+from rtagent_drivers.webcam.film import FilmDevice
+from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
+from rtagent_drivers.webcam.pictures import Pixels
+from rtagent_drivers.webcam.scenes import CameraWorld, Clip, Film, Scene, SceneClip, read_film
+from rtagent_drivers.webcam.settings import FakeSettings
+from rtagent_drivers.webcam.shots import Wanted
+from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
+
+
+def in_process(**settings: Any) -> Device:
+    """Return a world before a camera, or a film, as a device; it works under both clocks."""
+    camera = Webcam(**settings | {"backend": "v4l2", "format": "YUYV"})
+    fake, size, rate = _fake(settings), camera.size, camera.spec.rate
+    if not fake.file:
+        sampling = Sampling(rate, fake.delay, fake.jitter)
+        return FakeDevice(CameraWorld(size, camera.features), sampling, fake.faults)
+    if fake.faults != Faults() or fake.jitter:
+        raise SpecError("a film in the process has no faults and no jitter: give --fake=wire.")
+    return FilmDevice(_film(fake, size, rate), camera.features, fake.delay)
+
+
+def on_wire(**settings: Any) -> Device:
+    """Return the driver itself, on a camera that is emulated where the driver calls the kernel, or OpenCV."""
+    camera, fake = Webcam(**settings), _fake(settings)
+    if fake.faults.duplicate or fake.faults.late:
+        raise SpecError("a camera's frames are neither doubled nor overtaken on their way: leave that out of faults.")
+    clip: Clip
+    if fake.file:
+        clip = _film(fake, camera.size, camera.spec.rate)
+    else:
+        clip = SceneClip(Scene(camera.size, stream(0, "webcam")), camera.spec.rate)
+    if isinstance(camera.back_end, OpenCVCamera):
+        camera.back_end = OpenCVCamera(lambda _: ClipCapture(clip, fake))
+    elif isinstance(camera.back_end, V4L2Camera):
+        camera.back_end.kernel = EmulatedKernel(clip, camera.size, fake.faults, fake.delay, fake.jitter)
+    return camera
+
+
+class ClipCapture:
+    """A clip behind the interface of cv2.VideoCapture, whose reads block; of the faults it has `hang_at`."""
+
+    def __init__(self, clip: Clip, fake: FakeSettings) -> None:
+        self._clip, self._fake = clip, fake
+        self._began, self._number = RealClock.now(), -1
+        self._hangs_at = sorted(fake.faults.hang_at)
+        self._gone = Event()
+
+    def isOpened(self) -> bool:  # noqa: N802  # OpenCV's own name
+        """Say that it is there."""
+        return True
+
+    def set(self, property_: int, value: float, /) -> bool:
+        """Take nothing."""
+        return False
+
+    def get(self, property_: int, /) -> float:
+        """Return the stamp of the last frame, in ms."""
+        return (self._began + self._clip.taken(self._number)) / 1e6
+
+    def grab(self) -> bool:
+        """Wait for the next frame."""
+        self._number += 1
+        while self._clip.taken(self._number + 1) + self._fake.delay < RealClock.now() - self._began - second:
+            self._number += 1  # its queue is no longer than that
+        due = self._clip.taken(self._number) + self._fake.delay
+        if self._hangs_at and due >= self._hangs_at[0]:
+            self._gone.wait()
+        self._gone.wait(max(0, self._began + due - RealClock.now()) / second)
+        return not self._gone.is_set()
+
+    def retrieve(self) -> tuple[bool, Pixels]:
+        """Return the last frame, BGR."""
+        return True, self._clip.pixels(self._number)[:, :, ::-1]
+
+    def release(self) -> None:
+        """Let go."""
+        self._gone.set()
+
+
+def _fake(settings: dict[str, Any]) -> FakeSettings:
+    fake: FakeSettings = settings.get("fake", FakeSettings())
+    return fake
+
+
+def _film(fake: FakeSettings, size: tuple[int, int], rate: float) -> Film:
+    film = read_film(fake.file, size, fake.speed)
+    if abs(film.rate - rate) > 0.01 * rate:
+        raise SpecError(f'{fake.file} has {film.rate:.4g} frames a second: set rate = "{film.rate:.4g}Hz".')
+    return film
