@@ -1,7 +1,206 @@
-import os, time
-t=time.time()
-print(os.listdir("/dev") and [d for d in os.listdir("/dev") if "video" in d])
-import numpy, asyncio
-print("numpy", time.time()-t)
-import cv2
-print("cv2", time.time()-t)
+"""What vivid.sh runs in the guest: the webcam driver on /dev/video0; every line says what was seen.
+
+Exits with 1 where something was not as it must be.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from fcntl import ioctl
+from pathlib import Path
+from statistics import median
+
+from rtagent import clock
+from rtagent.errors import DeviceError, DisconnectedError
+from rtagent.experience import Sample
+from rtagent.units import ms
+from rtagent_drivers.webcam import Webcam
+from rtagent_drivers.webcam.v4l2 import QUERYCTRL, S_CTRL, Control, ControlQuery
+
+CAMERA = "/dev/video0"
+NEXT = 0x80000000
+failed: list[str] = []
+
+
+def say(sentence: str, right: bool = True) -> None:
+    print(("ok   " if right else "WRONG ") + sentence)
+    if not right:
+        failed.append(sentence)
+
+
+def controls() -> dict[str, int]:
+    """Return the camera's controls: their numbers by their names."""
+    file, found, query = os.open(CAMERA, os.O_RDWR), {}, ControlQuery(id=NEXT)
+    try:
+        while True:
+            ioctl(file, QUERYCTRL, query)
+            found[query.name.decode()] = query.id
+            query = ControlQuery(id=query.id | NEXT)
+    except OSError:
+        return found
+    finally:
+        os.close(file)
+
+
+def turn(control: int, value: int) -> None:
+    """Set a control."""
+    file = os.open(CAMERA, os.O_RDWR)
+    try:
+        ioctl(file, S_CTRL, Control(control, value))
+    finally:
+        os.close(file)
+
+
+async def frames(camera: Webcam, count: int) -> list[Sample]:
+    samples = [await camera.read(-1)]
+    while len(samples) < count:
+        samples.append(await camera.read(samples[-1].sequence))
+    return samples
+
+
+def steady(samples: list[Sample], rate: float) -> str:
+    times = [sample.world_time for sample in samples]
+    steps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    ages = [sample.arrival_time - sample.world_time for sample in samples]
+    values = {name: round(float(value), 3) for name, value in samples[-1].values.items()}
+    say(
+        f"{len(samples)} frames, {median(steps) / ms:.1f} ms apart in the median by the {samples[-1].time_source}'s "
+        f"clock, {median(ages) / ms:.2f} ms old at arrival (at most {max(ages) / ms:.2f}); {values}",
+        abs(median(steps) * rate / 1e9 - 1) < 0.1 and min(ages) >= 0,
+    )
+    return str(values)
+
+
+async def stream(**settings: object) -> None:
+    camera = Webcam(device=CAMERA, **settings)  # type: ignore[arg-type]  # settings of all kinds
+    print(f"-- {settings or 'as it is'}, loop {type(asyncio.get_running_loop()).__name__}")
+    await camera.open()
+    try:
+        steady(await frames(camera, 45), camera.spec.rate)
+        say(f"counters {dict(camera.counters)}")
+    finally:
+        await camera.close()
+
+
+async def gaps(dropped: int) -> None:
+    print("-- the camera drops a part of its frames")
+    camera = Webcam(device=CAMERA)
+    await camera.open()
+    before = await frames(camera, 5)
+    turn(dropped, 30)
+    samples = await frames(camera, 60)
+    turn(dropped, 0)
+    steps = [after.sequence - before.sequence for before, after in zip(samples, samples[1:], strict=False)]
+    lost = camera.counters.get("frames_lost", 0)
+    spans = samples[-1].world_time - samples[0].world_time
+    say(
+        f"30 % of buffers dropped: {lost} frames counted as lost, {sum(step > 1 for step in steps)} gaps in the numbers; "
+        f"{sum(steps)} numbers in {spans / 1e9:.2f} s",
+        lost > 0 and abs(sum(steps) * 1e9 / spans / camera.spec.rate - 1) < 0.1 and before[0].sequence >= 0,
+    )
+    await camera.close()
+
+
+async def blocked() -> None:
+    print("-- the loop is blocked for a second")
+    camera = Webcam(device=CAMERA)
+    await camera.open()
+    await frames(camera, 10)
+    await clock.current().compute(1000 * ms)
+    found = await camera.read(-1)
+    age = clock.current().now() - found.world_time
+    following = await camera.read(found.sequence)
+    fresh = clock.current().now() - following.world_time
+    say(
+        f"the newest frame in the kernel's buffers is {age / ms:.0f} ms old and says so; the next {fresh / ms:.1f} ms; "
+        f"{dict(camera.counters)}",
+        fresh < age,
+    )
+    await camera.close()
+
+
+async def unplug(disconnect: int, **settings: object) -> None:
+    print(f"-- unplugged and plugged in again {settings or ''}")
+    camera = Webcam(device=CAMERA, **settings)  # type: ignore[arg-type]  # settings of all kinds
+    await camera.open()
+    last = (await frames(camera, 10))[-1]
+    reading = asyncio.ensure_future(camera.read(last.sequence + 1000))
+    await asyncio.sleep(0.05)
+    pulled = clock.current().now()
+    turn(disconnect, 1)
+    try:
+        await asyncio.wait_for(reading, 5)
+        say("the read went on", right=False)
+    except DisconnectedError as error:
+        say(f"{(clock.current().now() - pulled) / ms:.1f} ms after it was unplugged: {error}")
+    await camera.close()  # vivid's camera comes back once nobody has it open
+    await camera.open()
+    opened = clock.current().now()
+    waits = 0
+    while True:
+        try:
+            sample = await camera.read(-1)
+            break
+        except DeviceError:
+            waits += 1
+            await asyncio.sleep(0.01)
+    say(
+        f"back: its first frame, number {sample.sequence} after {last.sequence}, {(sample.arrival_time - opened) / ms:.0f} "
+        f"ms after it was opened anew ({waits} reads said that there was none yet)",
+        sample.sequence > last.sequence and sample.world_time > last.world_time,
+    )
+    steady(await frames(camera, 15), camera.spec.rate)
+    await camera.close()
+
+
+async def absent() -> None:
+    print("-- what is not there")
+    for settings in (
+        {"device": "/dev/video7"},
+        {"device": "/dev/null"},
+        {"device": CAMERA, "width": 700},
+        {"device": CAMERA, "rate": 17.0},
+    ):
+        try:
+            await Webcam(**settings).open()  # type: ignore[arg-type]  # settings of all kinds
+            say(f"{settings} was opened", right=False)
+        except DisconnectedError as error:
+            say(str(error))
+    first, second_ = Webcam(device=CAMERA), Webcam(device=CAMERA)
+    await first.open()
+    try:
+        await second_.open()
+        say("two had it at once", right=False)
+    except DisconnectedError as error:
+        say(str(error))
+    await first.close()
+
+
+def main() -> int:
+    found = controls()
+    print(f"Linux {os.uname().release}, {len(found)} controls of {CAMERA}, {len(os.sched_getaffinity(0))} processors")
+    clock.run(stream())
+    print("-- from here on it stamps frames when their exposure begins, not when they will have been transferred")
+    turn(found["Timestamp Source"], 1)
+    clock.run(stream(rate=25.0))
+    from rtagent.clock.uv import uvloop_loop
+
+    clock.run(stream(), make_loop=uvloop_loop)
+    dropped = next(number for name, number in found.items() if "Dropped" in name)
+    clock.run(gaps(dropped))
+    clock.run(blocked())
+    clock.run(absent())
+    clock.run(unplug(found["Disconnect"]))
+    clock.run(unplug(found["Disconnect"]), make_loop=uvloop_loop)
+    clock.run(stream(backend="opencv", rate=25.0))
+    clock.run(unplug(found["Disconnect"], backend="opencv", rate=25.0))
+    open_files = [os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd") if Path(f"/proc/self/fd/{name}").exists()]
+    say(f"files of the camera still open: {sum('video' in path for path in open_files)}", not any("video" in path for path in open_files))
+    print(f"{len(failed)} wrong")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

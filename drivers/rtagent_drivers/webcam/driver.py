@@ -28,7 +28,7 @@ class Webcam:
     """A webcam: mean colours of its newest frame and of parts of it, and frames with fewer pixels.
 
     `world_time` is the kernel's stamp of the frame (`time_source` "device") where the camera's driver gives one of the
-    monotonic clock, else its arrival. What is sensed of a frame is computed when it is read, once. A camera that gives
+    monotonic clock that is not in the future, else its arrival ("arrival"). What is sensed of a frame is computed when it is read, once. A camera that gives
     no frame for `silence` is taken for gone, and opened anew. Raises `SpecError` for settings that do not fit together.
     """
 

@@ -22,7 +22,7 @@ from rtagent.experience import Values
 from rtagent.units import describe, ms, second
 from rtagent_drivers.webcam.features import Features
 from rtagent_drivers.webcam.pictures import BGR, picture_of
-from rtagent_drivers.webcam.shots import Shot, Wanted, dated
+from rtagent_drivers.webcam.shots import Dates, Shot, Wanted
 
 LOOKED_AT = 1 * second
 """Frames are decoded until nobody has looked for so long."""
@@ -134,14 +134,14 @@ class _Grabber:
         self.error: RtagentError | None = None
         self.stopped = False
         self.looked_at, self.heard_at = self._now(), 0
-        self._sequence, self._time = -1, 0
+        self._sequence, self._dates = -1, Dates(counters)
         self._thread = threading.Thread(target=self._run, name="webcam", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether the thread has not ended yet."""
-        return self._thread.is_alive()
+        """Whether the thread has not let go of the camera yet."""
+        return self._thread.is_alive() and not self.ended.done()
 
     def stop(self) -> None:
         """Ask the thread to end after the frame that it waits for."""
@@ -178,10 +178,8 @@ class _Grabber:
     def _dated(self, capture: Capture, now: int) -> Shot:
         """Return the frame as a shot; its stamp is the kernel's, where OpenCV hands that on."""
         stamp = round(capture.get(_POS_MSEC) * ms)
-        by_device = abs(now - stamp) < CREDIBLE
-        self._time = dated(stamp if by_device else now, now, self._time, self._counters)
         self._sequence += 1
-        return Shot(self._time, now, self._sequence, "device" if by_device else "arrival")
+        return self._dates.shot(stamp if abs(now - stamp) < CREDIBLE else None, now, self._sequence)
 
     def _look(self, capture: Capture, shot: Shot) -> None:
         there, pixels = capture.retrieve()

@@ -20,6 +20,10 @@ Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 
+ROWS = 256
+"""The sum of so many bytes fits into 16 bits, which is three times as quick as 32."""
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """How pixels are bytes: groups of `group` bytes, each of `across` pixels side by side.
@@ -99,7 +103,9 @@ class Picture:
     def _sums(self, top: int, bottom: int) -> NDArray[Any]:
         """Return the sums of the rows from `top` to `bottom`, shape (groups of a row, bytes of a group)."""
         used = self.width // self.layout.across * self.layout.group
-        sums = np.add.reduce(self.rows[top:bottom, :used], axis=0, dtype=np.uint32)
+        sums = np.zeros(used, np.uint32)
+        for first in range(top, bottom, ROWS):
+            sums += np.add.reduce(self.rows[first : min(first + ROWS, bottom), :used], axis=0, dtype=np.uint16)
         return sums.reshape(-1, self.layout.group)
 
 

@@ -55,10 +55,20 @@ class BackEnd(Protocol):
         """Let go of the camera; may be called more than once."""
 
 
-def dated(stamp: int, now: int, last: int, counters: Counter[str]) -> int:
-    """Return when a picture with such a stamp was taken: not after `now`, and not before the `last` one."""
-    if stamp > now:
-        counters["stamps_ahead"] += 1
-    if stamp < last:
-        counters["stamps_back"] += 1
-    return max(min(stamp, now), last)
+class Dates:
+    """When frames were taken, by their stamps (ns; None where a camera gives none of the monotonic clock).
+
+    A stamp may lie in the future, as that of a camera which says when a frame will have been transferred: such a frame
+    is taken to be as old as its arrival, and `stamps_ahead` counts it. Times never go back.
+    """
+
+    def __init__(self, counters: Counter[str]) -> None:
+        self._counters, self._last = counters, 0
+
+    def shot(self, stamp: int | None, now: int, sequence: int) -> Shot:
+        """Return the shot of a frame that arrived `now`."""
+        if stamp is not None and stamp > now:
+            self._counters["stamps_ahead"] += 1
+            stamp = None
+        self._last = max(now if stamp is None else stamp, self._last)
+        return Shot(self._last, now, sequence, "arrival" if stamp is None else "device")

@@ -14,7 +14,7 @@ from rtagent.errors import DisconnectedError
 from rtagent_drivers.webcam import v4l2
 from rtagent_drivers.webcam.kernel import Kernel, Memory
 from rtagent_drivers.webcam.pictures import YUYV, Picture
-from rtagent_drivers.webcam.shots import Shot, Wanted, dated
+from rtagent_drivers.webcam.shots import Dates, Shot, Wanted
 
 BUFFERS = 4
 SAME_RATE = 0.01
@@ -38,7 +38,7 @@ class Stream:
         self._held: v4l2.Buffer | None = None
         self._last: int | None = None
         self._sequence = -1
-        self._time = self._empty = 0
+        self._empty, self._dates = 0, Dates(counters)
         self.newest: Shot | None = None
         self.file = self._open()
         try:
@@ -204,10 +204,9 @@ class Stream:
         self._sequence += max(step, 1)
 
     def _date(self, buffer: v4l2.Buffer, now: int) -> None:
-        by_device = buffer.flags & v4l2.CLOCK_MASK == v4l2.CLOCK_MONOTONIC
-        stamp = buffer.seconds * 1_000_000_000 + buffer.microseconds * 1000 if by_device else now
-        self._time = dated(stamp, now, self._time, self.counters)
-        self.newest = Shot(self._time, now, self._sequence, "device" if by_device else "arrival")
+        monotonic = buffer.flags & v4l2.CLOCK_MASK == v4l2.CLOCK_MONOTONIC
+        stamp = buffer.seconds * 1_000_000_000 + buffer.microseconds * 1000
+        self.newest = self._dates.shot(stamp if monotonic else None, now, self._sequence)
 
     def _check_empty(self, empty: bool) -> None:
         self._empty = self._empty + 1 if empty else 0
