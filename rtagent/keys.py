@@ -1,7 +1,7 @@
 """What is typed, from the bytes of a terminal: keys by their names, with releases where the terminal tells them.
 
-Terminals that speak the keyboard protocol of kitty (its documentation: "Comprehensive keyboard handling in terminals")
-report presses, repeats and releases; others send a byte for each press and each repeat.
+Terminals that speak the keyboard protocol of kitty ("Comprehensive keyboard handling in terminals", its
+documentation) report presses, repeats and releases; others send a byte for each press and each repeat.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ _KINDS: Final[dict[str, Kind]] = {"1": "press", "2": "repeat", "3": "release"}
 
 
 class Key(NamedTuple):
-    """A key: a character ("b"), "space", "enter", …; `control` with Ctrl held. `told`: by a terminal that tells releases."""
+    """A key: a character ("b"), "space", "enter", …, perhaps with Ctrl held.
+
+    `told`: by a terminal that tells of releases too.
+    """
 
     name: str
     kind: Kind = "press"

@@ -1,4 +1,4 @@
-"""The terminal's keys, for all who listen to them: one reader, one state of the terminal, given back by the last."""
+"""The terminal's keys, for all who listen: one reader, and one state of the terminal, given back by the last."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ Exits with 1 where something was not as it must be.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import sys
 from fcntl import ioctl
@@ -24,8 +25,12 @@ NEXT = 0x80000000
 failed: list[str] = []
 
 
+def tell(line: str) -> None:
+    sys.stdout.write(line + "\n")
+
+
 def say(sentence: str, right: bool = True) -> None:
-    print(("ok   " if right else "WRONG ") + sentence)
+    tell(("ok    " if right else "WRONG ") + sentence)
     if not right:
         failed.append(sentence)
 
@@ -62,12 +67,13 @@ async def frames(camera: Webcam, count: int) -> list[Sample]:
 
 def steady(samples: list[Sample], rate: float) -> str:
     times = [sample.world_time for sample in samples]
-    steps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    steps = [after - before for before, after in itertools.pairwise(times)]
     ages = [sample.arrival_time - sample.world_time for sample in samples]
     values = {name: round(float(value), 3) for name, value in samples[-1].values.items()}
     say(
-        f"{len(samples)} frames, {median(steps) / ms:.1f} ms apart in the median by the {samples[-1].time_source}'s "
-        f"clock, {median(ages) / ms:.2f} ms old at arrival (at most {max(ages) / ms:.2f}); {values}",
+        f"{len(samples)} frames, {median(steps) / ms:.1f} ms apart in the median by the "
+        f"{samples[-1].time_source}'s clock, {median(ages) / ms:.2f} ms old at arrival "
+        f"(at most {max(ages) / ms:.2f}); {values}",
         abs(median(steps) * rate / 1e9 - 1) < 0.1 and min(ages) >= 0,
     )
     return str(values)
@@ -75,7 +81,7 @@ def steady(samples: list[Sample], rate: float) -> str:
 
 async def stream(**settings: object) -> None:
     camera = Webcam(device=CAMERA, **settings)  # type: ignore[arg-type]  # settings of all kinds
-    print(f"-- {settings or 'as it is'}, loop {type(asyncio.get_running_loop()).__name__}")
+    tell(f"-- {settings or 'as it is'}, loop {type(asyncio.get_running_loop()).__name__}")
     await camera.open()
     try:
         steady(await frames(camera, 45), camera.spec.rate)
@@ -85,26 +91,26 @@ async def stream(**settings: object) -> None:
 
 
 async def gaps(dropped: int) -> None:
-    print("-- the camera drops a part of its frames")
+    tell("-- the camera drops a part of its frames")
     camera = Webcam(device=CAMERA)
     await camera.open()
     before = await frames(camera, 5)
     turn(dropped, 30)
     samples = await frames(camera, 60)
     turn(dropped, 0)
-    steps = [after.sequence - before.sequence for before, after in zip(samples, samples[1:], strict=False)]
+    steps = [after.sequence - before.sequence for before, after in itertools.pairwise(samples)]
     lost = camera.counters.get("frames_lost", 0)
     spans = samples[-1].world_time - samples[0].world_time
     say(
-        f"30 % of buffers dropped: {lost} frames counted as lost, {sum(step > 1 for step in steps)} gaps in the numbers; "
-        f"{sum(steps)} numbers in {spans / 1e9:.2f} s",
+        f"30 % of buffers dropped: {lost} frames counted as lost, {sum(step > 1 for step in steps)} gaps in the "
+        f"numbers; {sum(steps)} numbers in {spans / 1e9:.2f} s",
         lost > 0 and abs(sum(steps) * 1e9 / spans / camera.spec.rate - 1) < 0.1 and before[0].sequence >= 0,
     )
     await camera.close()
 
 
 async def blocked() -> None:
-    print("-- the loop is blocked for a second")
+    tell("-- the loop is blocked for a second")
     camera = Webcam(device=CAMERA)
     await camera.open()
     await frames(camera, 10)
@@ -114,15 +120,15 @@ async def blocked() -> None:
     following = await camera.read(found.sequence)
     fresh = clock.current().now() - following.world_time
     say(
-        f"the newest frame in the kernel's buffers is {age / ms:.0f} ms old and says so; the next {fresh / ms:.1f} ms; "
-        f"{dict(camera.counters)}",
+        f"the newest frame in the kernel's buffers is {age / ms:.0f} ms old and says so; the next "
+        f"{fresh / ms:.1f} ms; {dict(camera.counters)}",
         fresh < age,
     )
     await camera.close()
 
 
 async def unplug(disconnect: int, **settings: object) -> None:
-    print(f"-- unplugged and plugged in again {settings or ''}")
+    tell(f"-- unplugged and plugged in again {settings or ''}")
     camera = Webcam(device=CAMERA, **settings)  # type: ignore[arg-type]  # settings of all kinds
     await camera.open()
     last = (await frames(camera, 10))[-1]
@@ -147,8 +153,9 @@ async def unplug(disconnect: int, **settings: object) -> None:
             waits += 1
             await asyncio.sleep(0.01)
     say(
-        f"back: its first frame, number {sample.sequence} after {last.sequence}, {(sample.arrival_time - opened) / ms:.0f} "
-        f"ms after it was opened anew ({waits} reads said that there was none yet)",
+        f"back: its first frame, number {sample.sequence} after {last.sequence}, "
+        f"{(sample.arrival_time - opened) / ms:.0f} ms after it was opened anew "
+        f"({waits} reads said that there was none yet)",
         sample.sequence > last.sequence and sample.world_time > last.world_time,
     )
     steady(await frames(camera, 15), camera.spec.rate)
@@ -156,7 +163,7 @@ async def unplug(disconnect: int, **settings: object) -> None:
 
 
 async def absent() -> None:
-    print("-- what is not there")
+    tell("-- what is not there")
     for settings in (
         {"device": "/dev/video7"},
         {"device": "/dev/null"},
@@ -180,9 +187,11 @@ async def absent() -> None:
 
 def main() -> int:
     found = controls()
-    print(f"Linux {os.uname().release}, {len(found)} controls of {CAMERA}, {len(os.sched_getaffinity(0))} processors")
+    tell(
+        f"Linux {os.uname().release}, {len(found)} controls of {CAMERA}, {len(os.sched_getaffinity(0))} processors"
+    )
     clock.run(stream())
-    print("-- from here on it stamps frames when their exposure begins, not when they will have been transferred")
+    tell("-- from here on it stamps frames when their exposure begins, not when they will have been transferred")
     turn(found["Timestamp Source"], 1)
     clock.run(stream(rate=25.0))
     from rtagent.clock.uv import uvloop_loop
@@ -196,9 +205,9 @@ def main() -> int:
     clock.run(unplug(found["Disconnect"]), make_loop=uvloop_loop)
     clock.run(stream(backend="opencv", rate=25.0))
     clock.run(unplug(found["Disconnect"], backend="opencv", rate=25.0))
-    open_files = [os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd") if Path(f"/proc/self/fd/{name}").exists()]
-    say(f"files of the camera still open: {sum('video' in path for path in open_files)}", not any("video" in path for path in open_files))
-    print(f"{len(failed)} wrong")
+    left = [link for link in Path("/proc/self/fd").iterdir() if "video" in os.path.realpath(link)]
+    say(f"files of the camera still open: {len(left)}", not left)
+    tell(f"{len(failed)} wrong")
     return 1 if failed else 0
 
 

@@ -13,7 +13,7 @@ from rtagent.device import Device
 from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus
 from rtagent.units import Duration, ms, second
-from rtagent_drivers.button.fake_presses import FakePresses
+from rtagent_drivers.button.fake_presses import NOW_AND_THEN, FakePresses
 from rtagent_drivers.button.keyboard import Keyboard
 from rtagent_drivers.button.presses import SPEC, Change, Presses
 from rtagent_drivers.button.sockets import TCPSource, UnixSource
@@ -28,10 +28,10 @@ OLDEST = 1 * second
 class Button:
     """A push button: the flag `pressed`, and a stimulus at each press.
 
-    `source`: "keyboard", the key `key` of the terminal (released after `release_after` where the terminal tells of no
-    releases); "tcp", messages to `host`:`port`; "unix", messages to the socket `path`. A press is shown until it was
-    seen, and for `shortest` longer. Times are the sender's where it gives one that can be ("device"), else of arrival.
-    Raises `SpecError` for settings that do not fit together.
+    `source`: "keyboard", the key `key` of the terminal (released after `release_after` where the terminal tells of
+    no releases); "tcp", messages to `host`:`port`; "unix", messages to the socket `path`. A press is shown until it
+    was seen, and for `shortest` longer. Times are the sender's where it gives one that can be ("device"), else of
+    arrival. Raises `SpecError` for settings that do not fit together.
     """
 
     spec = SPEC
@@ -48,7 +48,7 @@ class Button:
         token_file: str = "",
         path: str = "",
         shortest: Duration = 20 * ms,
-        fake: FakePresses = FakePresses(),  # frozen: sharing it changes nothing
+        fake: FakePresses = NOW_AND_THEN,
     ) -> None:
         if shortest < 0 or release_after <= 0:
             raise SpecError("shortest is negative, or release_after is not above 0: give times.")

@@ -31,3 +31,6 @@ class FakePresses:
         """Yield (until the next press, until its release) in ns, without end."""
         while True:
             yield int(rng.integers(*self.every, endpoint=True)), int(rng.integers(*self.held, endpoint=True))
+
+
+NOW_AND_THEN = FakePresses()

@@ -44,7 +44,8 @@ class FakeButton:
 
     def __init__(self, fake: FakePresses, shortest: int) -> None:
         self._fake, self._presses = fake, Presses(shortest)
-        self._opened, self._next = False, None
+        self._opened = False
+        self._next: Change | None = None
         self._coming: Iterator[Change] = iter(())
         self.counters: Mapping[str, int] = self._presses.counters
 
@@ -102,7 +103,7 @@ class FakeButton:
         if self._presses.told:
             self._presses.add(Change(False, now, now, "truth"))
         self._coming = _changes(self._fake.intervals(rng), now)
-        self._next: Change | None = next(self._coming)
+        self._next = next(self._coming)
 
     def _take(self, now: int) -> None:
         while self._next is not None and self._next.time <= now:

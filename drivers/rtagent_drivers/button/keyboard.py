@@ -20,14 +20,16 @@ REPEATS_WITHIN = 150 * ms
 class Keyboard:
     """The key `key` of the terminal that standard input is.
 
-    A terminal that does not tell of releases repeats a key that is held, first after some 500 ms: the key is taken to
-    be released when `release_after` (ns) has passed without that, then `REPEATS_WITHIN`. Raises `SpecError` for a key
-    that is none, or that stops runs.
+    A terminal that does not tell of releases repeats a key that is held, first after some 500 ms: the key is taken
+    to be released when `release_after` (ns) has passed without that, then `REPEATS_WITHIN`. Raises `SpecError` for
+    a key that is none, or that stops runs.
     """
 
     def __init__(self, key: str, release_after: int) -> None:
         if len(key) != 1 and key not in NAMES.values():
-            raise SpecError(f"there is no key {key!r}: give a character, or one of {', '.join(sorted({*NAMES.values()}))}.")
+            raise SpecError(
+                f"there is no key {key!r}: give a character, or one of {', '.join(sorted({*NAMES.values()}))}."
+            )
         if key.lower() in STOPS:
             raise SpecError(f"the key {key!r} stops a run: give the button another.")
         self._key, self._release_after = key.lower(), release_after
@@ -66,7 +68,7 @@ class Keyboard:
         self._set(pressed=True)
         if not key.told:
             wait = REPEATS_WITHIN if repeats else self._release_after
-            self._releasing = asyncio.get_running_loop().call_later(wait / second, self._set, False)  # noqa: FBT003
+            self._releasing = asyncio.get_running_loop().call_later(wait / second, self._set, False)
 
     def _set(self, pressed: bool) -> None:
         if pressed != self._held:

@@ -1,4 +1,4 @@
-"""What a button was told, and what of it is shown: nothing that happened is lost because nobody looked just then."""
+"""What a button was told, and what of it is shown: nothing is lost because nobody looked just then."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ class Presses:
         self._shortest = shortest
         self.counters: Counter[str] = Counter()
         self._number = -1
+        self._seen_at: int | None = None
         self._waiting: deque[Change] = deque()
         self._stimuli: deque[Stimulus] = deque(maxlen=MOST_STIMULI)
         self.told = False

@@ -143,8 +143,8 @@ class TCPSource:
         self._token = _token(token_file) if token_file else ""
         if not self._token and not _is_loopback(host):
             raise SpecError(
-                f"a button at {host} could be pressed by anybody who reaches it: give token_file, a file that holds "
-                f"a token of {SHORTEST_TOKEN} characters or more, or host 127.0.0.1."
+                f"a button at {host} could be pressed by anybody who reaches it: give token_file, a file that "
+                f"holds a token of {SHORTEST_TOKEN} characters or more, or host 127.0.0.1."
             )
         self._server: asyncio.Server | None = None
 
@@ -188,7 +188,7 @@ class UnixSource:
         if server is not None:
             _end(server, self._listener)
             with contextlib.suppress(OSError):
-                Path(self._path).unlink()
+                os.unlink(self._path)  # noqa: PTH108  # as bind names it
 
 
 def _end(server: asyncio.Server, listener: Listener) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
@@ -16,7 +15,7 @@ from rtagent.units import Duration, Frequency, describe, second
 from rtagent_drivers.webcam import jpeg
 from rtagent_drivers.webcam.features import Features, Region
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
-from rtagent_drivers.webcam.settings import FakeSettings
+from rtagent_drivers.webcam.settings import A_SCENE, FakeSettings
 from rtagent_drivers.webcam.shots import BackEnd, FormatName, Shot, Wanted
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
@@ -27,9 +26,10 @@ HIGHEST_RATE = 1000.0
 class Webcam:
     """A webcam: mean colours of its newest frame and of parts of it, and frames with fewer pixels.
 
-    `world_time` is the kernel's stamp of the frame (`time_source` "device") where the camera's driver gives one of the
-    monotonic clock that is not in the future, else its arrival ("arrival"). What is sensed of a frame is computed when it is read, once. A camera that gives
-    no frame for `silence` is taken for gone, and opened anew. Raises `SpecError` for settings that do not fit together.
+    `world_time` is the kernel's stamp of the frame (`time_source` "device") where the camera's driver gives one of
+    the monotonic clock that is not in the future, else its arrival ("arrival"). What is sensed of a frame is
+    computed when it is read, once. A camera that gives no frame for `silence` is taken for gone, and opened anew. Raises
+    `SpecError` for settings that do not fit together.
     """
 
     fakes: ClassVar[Mapping[str, Callable[..., Device]]]
@@ -47,7 +47,7 @@ class Webcam:
         regions: dict[str, Region] | None = None,
         frame: tuple[int, int] | None = None,
         silence: Duration = 2 * second,
-        fake: FakeSettings = FakeSettings(),  # frozen: sharing it changes nothing
+        fake: FakeSettings = A_SCENE,
     ) -> None:
         _check(width, height, rate, silence)
         self.size = (width, height)
@@ -147,7 +147,9 @@ class Webcam:
 
 def _check(width: int, height: int, rate: float, silence: int) -> None:
     if not (4 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE and width % 2 == 0):
-        raise SpecError(f"{width} × {height} pixels is no size of a picture: give an even width, up to {LARGEST_SIDE}.")
+        raise SpecError(
+            f"{width} × {height} pixels is no size of a picture: give an even width, up to {LARGEST_SIDE}."
+        )
     if not 0.0 < rate <= HIGHEST_RATE:
         raise SpecError(f"rate is {rate:g} Hz: give what the camera runs at, such as 15Hz or 30Hz.")
     if silence <= 2 * second / rate:

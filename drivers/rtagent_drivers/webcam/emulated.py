@@ -1,7 +1,7 @@
 """A kernel with one camera that is not there: answers to what the driver asks, frames when they are due.
 
-It stands where system calls leave this process, so that all of the driver is what is tried. As the real kernel does,
-it fills the buffers that are queued, oldest first, and loses frames while none is.
+It stands where system calls leave this process, so that all of the driver is what is tried. As the real kernel
+does, it fills the buffers that are queued, oldest first, and loses frames while none is.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rtagent.streams import stream
 from rtagent.units import second
 from rtagent_drivers.fake import Faults
 from rtagent_drivers.webcam import jpeg, v4l2
+from rtagent_drivers.webcam.kernel import Memory
 from rtagent_drivers.webcam.scenes import Clip
 
 NEVER = 1 << 62
@@ -26,7 +27,7 @@ NEVER = 1 << 62
 class Filled(NamedTuple):
     """A buffer that holds frame `number`, taken and available at these times (ns)."""
 
-    index: int
+    place: int
     number: int
     taken: int
     available: int
@@ -36,20 +37,28 @@ class Filled(NamedTuple):
 class EmulatedKernel:
     """A kernel whose only device is a camera that films `clip`; it begins to exist with the first `open`.
 
-    A frame is available `delay` (ns) after it was taken, and up to `jitter` later. `faults`: `drop` and `corrupt` of
-    frames, `raise_at` (EIO), `hang_at` (no frames until it is opened anew), `disconnect` (it is not there).
+    A frame is available `delay` (ns) after it was taken, and up to `jitter` later. `faults`: `drop` and `corrupt`
+    of frames, `raise_at` (EIO), `hang_at` (no frames until it is opened anew), `disconnect` (it is not there).
     `stamp_ahead` (ns) is how far its stamps lie ahead.
     """
 
     def __init__(
-        self, clip: Clip, size: tuple[int, int], faults: Faults, delay: int = 0, jitter: int = 0, stamp_ahead: int = 0
+        self,
+        clip: Clip,
+        size: tuple[int, int],
+        faults: Faults,
+        delay: int = 0,
+        jitter: int = 0,
+        stamp_ahead: int = 0,
     ) -> None:
         self._clip, self._size, self._faults = clip, size, faults
         self._delay, self._jitter, self._stamp_ahead = delay, jitter, stamp_ahead
         self._rng = stream(0, "webcam")
         self._raise_at = sorted(faults.raise_at)
         self._began: int | None = None
+        self._opened_at = 0
         self._files: dict[int, Timerfd] = {}
+        self._memories: list[bytearray] = []
         self._requests: dict[int, Callable[[Any], None]] = {
             v4l2.QUERYCAP: self._describe,
             v4l2.ENUM_FMT: self._name_format,
@@ -78,10 +87,10 @@ class EmulatedKernel:
         self._free: deque[int] = deque()
         self._filled: deque[Filled] = deque()
         self._next = 0
-        self._rejoin = self._began
         timer = Timerfd()
         self._files[timer.fd] = timer
-        return timer.fd
+        file: int = timer.fd
+        return file
 
     def ioctl(self, file: int, request: int, structure: Structure | c_int) -> None:
         """Answer a request."""
@@ -93,9 +102,12 @@ class EmulatedKernel:
             raise OSError(errno.ENOTTY, "not known")
         self._requests[request](structure)
 
-    def mmap(self, file: int, length: int, offset: int) -> EmulatedMemory:
+    def mmap(self, file: int, length: int, offset: int) -> Memory:
         """Return a buffer, which `offset` numbers."""
         return self._memories[offset]
+
+    def unmap(self, memory: Memory) -> None:
+        """Do nothing: its buffers are its own."""
 
     def close(self, file: int) -> None:
         """Close the camera."""
@@ -126,7 +138,7 @@ class EmulatedKernel:
 
     def _make_buffers(self, request: v4l2.BufferRequest) -> None:
         self._length = 2 * self._size[0] * self._size[1]
-        self._memories = [EmulatedMemory(self._length) for _ in range(request.count)]
+        self._memories = [bytearray(self._length) for _ in range(request.count)]
 
     def _locate(self, buffer: v4l2.Buffer) -> None:
         buffer.length, buffer.offset = self._length, buffer.index
@@ -155,7 +167,7 @@ class EmulatedKernel:
             self._arm(now)
             raise BlockingIOError(errno.EAGAIN, "nothing yet")
         filled = self._filled.popleft()
-        buffer.index, buffer.bytesused = filled.index, self._fill(filled)
+        buffer.index, buffer.bytesused = filled.place, self._fill(filled)
         buffer.sequence = filled.number - self._first
         buffer.flags = v4l2.CLOCK_MONOTONIC | (v4l2.DAMAGED if filled.damaged else 0)
         stamp = filled.taken + self._stamp_ahead
@@ -187,7 +199,7 @@ class EmulatedKernel:
     def _fill(self, filled: Filled) -> int:
         number = filled.number
         data = jpeg.encoded(self._clip.pixels(number)) if self._compressed else self._clip.yuyv(number).tobytes()
-        self._memories[filled.index][: len(data)] = data
+        self._memories[filled.place][: len(data)] = data
         return len(data)
 
     def _arm(self, now: int) -> None:
@@ -209,10 +221,3 @@ class EmulatedKernel:
             elapsed >= window[0] and (len(window) == 1 or elapsed < window[1] or opened < window[0])
             for window in self._faults.disconnect
         )
-
-
-class EmulatedMemory(bytearray):
-    """A buffer of the emulated kernel's."""
-
-    def close(self) -> None:
-        """Give it back."""

@@ -1,4 +1,4 @@
-"""The webcam's fakes, made from the driver's own settings: a world in the process, and the driver on an emulated camera."""
+"""The webcam's fakes: a world in the process, and the driver itself on an emulated camera."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
 from rtagent_drivers.webcam.pictures import Pixels
 from rtagent_drivers.webcam.scenes import CameraWorld, Clip, Film, Scene, SceneClip, read_film
 from rtagent_drivers.webcam.settings import FakeSettings
-from rtagent_drivers.webcam.shots import Wanted
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
 
@@ -38,7 +37,9 @@ def on_wire(**settings: Any) -> Device:
     """Return the driver itself, on a camera that is emulated where the driver calls the kernel, or OpenCV."""
     camera, fake = Webcam(**settings), _fake(settings)
     if fake.faults.duplicate or fake.faults.late:
-        raise SpecError("a camera's frames are neither doubled nor overtaken on their way: leave that out of faults.")
+        raise SpecError(
+            "a camera's frames are neither doubled nor overtaken on their way: leave that out of faults."
+        )
     clip: Clip
     if fake.file:
         clip = _film(fake, camera.size, camera.spec.rate)

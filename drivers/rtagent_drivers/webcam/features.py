@@ -44,9 +44,7 @@ class Features:
             raise SpecError(f"frame is {list(frame)}: an agent is given at most {MOST_CELLS:,} pixels of a frame.")
         whole = {"": Rectangle(0, 0, width, height)} if means else {}
         parts: dict[str, Rectangle] = whole | {f"{name}_": region for name, region in regions.items()}
-        self._parts = [
-            (tuple(f"{prefix}{colour}" for colour in COLOURS), part) for prefix, part in parts.items()
-        ]
+        self._parts = [(tuple(f"{prefix}{colour}" for colour in COLOURS), part) for prefix, part in parts.items()]
         self._size, self._frame = size, frame
         self.specs = {name: Spec(low=0.0, high=1.0) for names, _ in self._parts for name in names}
         if frame is not None:
@@ -69,7 +67,7 @@ class Features:
 def _check(name: str, region: Region, width: int, height: int) -> None:
     if not name.isidentifier():
         raise SpecError(f"the region {name!r} needs a name of letters, digits and underscores.")
-    inside = 0 <= region.left and 0 <= region.top and region.width >= 2 and region.height >= 1
+    inside = region.left >= 0 and region.top >= 0 and region.width >= 2 and region.height >= 1
     if not inside or region.left + region.width > width or region.top + region.height > height:
         raise SpecError(
             f"the region {name!r} does not lie within the picture of {width} × {height} pixels, "

@@ -8,18 +8,8 @@ import mmap
 import os
 from typing import Protocol
 
-
-class Memory(Protocol):
-    """A buffer of the kernel's, mapped into this process."""
-
-    def __getitem__(self, part: slice, /) -> bytes:
-        """Return a copy of some bytes."""
-
-    def __buffer__(self, flags: int, /) -> memoryview:
-        """Give the bytes without a copy."""
-
-    def close(self) -> None:
-        """Give it back; raises BufferError while something still looks at it."""
+Memory = mmap.mmap | bytearray
+"""A buffer of the kernel's, mapped into this process."""
 
 
 class Kernel(Protocol):
@@ -33,6 +23,9 @@ class Kernel(Protocol):
 
     def mmap(self, file: int, length: int, offset: int) -> Memory:
         """Map a buffer into this process, to be read."""
+
+    def unmap(self, memory: Memory) -> None:
+        """Give a buffer back."""
 
     def close(self, file: int) -> None:
         """Close a file."""
@@ -49,9 +42,14 @@ class LinuxKernel:
         """Make a request whose answer is written into `structure`."""
         fcntl.ioctl(file, request, structure)
 
-    def mmap(self, file: int, length: int, offset: int) -> mmap.mmap:
+    def mmap(self, file: int, length: int, offset: int) -> Memory:
         """Map a buffer into this process, to be read."""
         return mmap.mmap(file, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
+
+    def unmap(self, memory: Memory) -> None:
+        """Give a buffer back; while it is mapped its camera stays in use."""
+        if isinstance(memory, mmap.mmap):
+            memory.close()
 
     def close(self, file: int) -> None:
         """Close a file."""

@@ -19,7 +19,7 @@ import numpy as np
 from rtagent.clock import current
 from rtagent.errors import DisconnectedError, RtagentError, SpecError
 from rtagent.experience import Values
-from rtagent.units import describe, ms, second
+from rtagent.units import ms, second
 from rtagent_drivers.webcam.features import Features
 from rtagent_drivers.webcam.pictures import BGR, picture_of
 from rtagent_drivers.webcam.shots import Dates, Shot, Wanted

@@ -180,7 +180,7 @@ class Film:
         self._frames = frames
         self._times: list[int] = ((times - times[0]) / speed * second).round().astype(np.int64).tolist()
         interval = round(float(np.median(steps)) / speed * second)
-        self._length = self._times[-1] + interval
+        self._length: int = self._times[-1] + interval
         self.rate = second / interval
 
     def __len__(self) -> int:

@@ -24,3 +24,6 @@ class FakeSettings:
     delay: Duration = 40 * ms
     jitter: Duration = 0
     faults: Faults = Faults()  # noqa: RUF009  # frozen: sharing it changes nothing
+
+
+A_SCENE = FakeSettings()

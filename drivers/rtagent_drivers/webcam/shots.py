@@ -58,8 +58,8 @@ class BackEnd(Protocol):
 class Dates:
     """When frames were taken, by their stamps (ns; None where a camera gives none of the monotonic clock).
 
-    A stamp may lie in the future, as that of a camera which says when a frame will have been transferred: such a frame
-    is taken to be as old as its arrival, and `stamps_ahead` counts it. Times never go back.
+    A stamp may lie in the future, as that of a camera which says when a frame will have been transferred: such a
+    frame is taken to be as old as its arrival, and `stamps_ahead` counts it. Times never go back.
     """
 
     def __init__(self, counters: Counter[str]) -> None:

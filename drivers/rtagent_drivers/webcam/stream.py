@@ -1,4 +1,4 @@
-"""A stream of a V4L2 camera: opened, negotiated, its buffers mapped, drained to the newest frame. It never waits."""
+"""A stream of a V4L2 camera: opened, negotiated, its buffers mapped, drained to the newest frame; never waiting."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ class Stream:
         format_ = self._format
         needed = format_.bytesperline * format_.height
         if used < needed:
-            raise DisconnectedError(f"{self._wanted.device} gave {used} bytes for a frame of {needed}: open it anew.")
+            raise DisconnectedError(
+                f"{self._wanted.device} gave {used} bytes for a frame of {needed}: open it anew."
+            )
         rows = np.frombuffer(memory, np.uint8, needed).reshape(format_.height, format_.bytesperline)
         return Picture(rows, format_.width, YUYV)
 
@@ -87,7 +89,7 @@ class Stream:
         with contextlib.suppress(OSError):
             self._kernel.ioctl(file, v4l2.STREAMOFF, c_int(v4l2.CAPTURE))
         for memory in self._memories:
-            memory.close()
+            self._kernel.unmap(memory)
         self._memories, self._held = [], None
         with contextlib.suppress(OSError):
             self._kernel.close(file)
@@ -109,7 +111,9 @@ class Stream:
         own = capability.capabilities & v4l2.HAS_OWN_CAPABILITIES
         can = capability.device_caps if own else capability.capabilities
         if not (can & v4l2.CAN_CAPTURE and can & v4l2.CAN_STREAM):
-            raise DisconnectedError(f"{device} gives no pictures: it is another part of a camera; try the next one.")
+            raise DisconnectedError(
+                f"{device} gives no pictures: it is another part of a camera; try the next one."
+            )
         self._format = self._set_format()
         self._set_rate()
 
@@ -153,7 +157,8 @@ class Stream:
         got = parameters.denominator / parameters.numerator
         if abs(got - rate) > SAME_RATE * rate:
             raise DisconnectedError(
-                f'{self._wanted.device} does not run at {rate:g} Hz, the nearest is {got:.4g} Hz: set rate = "{got:.4g}Hz".'
+                f"{self._wanted.device} does not run at {rate:g} Hz, the nearest is {got:.4g} Hz: "
+                f'set rate = "{got:.4g}Hz".'
             )
 
     def _map(self) -> None:

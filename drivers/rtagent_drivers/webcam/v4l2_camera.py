@@ -18,7 +18,7 @@ from rtagent_drivers.webcam.stream import Stream
 
 
 class V4L2Camera:
-    """A camera of Linux. Its file is watched by the loop; frames stay in the kernel's buffers until they are looked at.
+    """A camera of Linux. The loop watches its file; frames stay in the kernel's buffers until they are looked at.
 
     Opening and closing may take some 100 ms in the kernel and are done by a thread; JPEG is decoded by one too.
     """
