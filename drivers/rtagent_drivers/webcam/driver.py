@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from rtagent.clock import current
 from rtagent.device import Device
-from rtagent.errors import DeviceError, DisconnectedError, SpecError
+from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec
 from rtagent.units import Duration, Frequency, describe, second
@@ -19,6 +19,9 @@ from rtagent_drivers.webcam.settings import A_SCENE, FakeSettings
 from rtagent_drivers.webcam.shots import BackEnd, FormatName, Shot, Wanted
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
+FIRST_WITHIN = 5 * second
+"""A camera that was just opened may take so long for its first frame."""
+
 LARGEST_SIDE = 8192
 HIGHEST_RATE = 1000.0
 
@@ -28,8 +31,8 @@ class Webcam:
 
     `world_time` is the kernel's stamp of the frame (`time_source` "device") where the camera's driver gives one of
     the monotonic clock that is not in the future, else its arrival ("arrival"). What is sensed of a frame is
-    computed when it is read, once. A camera that gives no frame for `silence` is taken for gone, and opened anew. Raises
-    `SpecError` for settings that do not fit together.
+    computed when it is read, once. A camera that gives no frame for `silence` is taken for gone, to be opened anew.
+    Raises `SpecError` for settings that do not fit together.
     """
 
     fakes: ClassVar[Mapping[str, Callable[..., Device]]]
@@ -56,30 +59,32 @@ class Webcam:
         self._wanted = Wanted(device, format, width, height, rate)
         self.back_end: BackEnd = _back_end(backend, format)
         self._silence = silence
-        self._opened = self._was_lost = False
+        self._opened = False
         self._sample: Sample | None = None
         self._next = self._first = 0
 
     async def open(self) -> None:
-        """Begin to stream; raise `DisconnectedError`, with what to do, where that cannot be."""
+        """Begin to stream, and wait for the first frame; raise `DisconnectedError` where none comes."""
         self._clock, self._event = current(), asyncio.Event()
+        self._first, self._sample = self._next, None
         await self.back_end.open(self._wanted, self.features, self._event_set)
-        self._opened, self._first, self._sample = True, self._next, None
-        self._heard_at = self._clock.now()
+        self._opened, self._heard_at = True, self._clock.now() + max(FIRST_WITHIN - self._silence, 0)
+        try:
+            while self._newest() is None:
+                await self._wait()
+        except BaseException:
+            await self.close()
+            raise
+        self._heard_at = self.back_end.heard_at
 
     async def read(self, newer_than: int) -> Sample:
-        """Return what is sensed of the newest frame, or wait for one above `newer_than`.
-
-        A camera that was lost and opened anew is not waited for: `DeviceError` until its first frame has come.
-        """
+        """Return what is sensed of the newest frame, or wait for one above `newer_than`."""
         while True:
             shot = self._newest()
             if shot is not None and self._first + shot.sequence > newer_than:
                 sample = await self._sensed(shot)
                 if sample.sequence > newer_than:
                     return sample
-            elif shot is None and self._was_lost:
-                raise DeviceError("the camera was opened anew and has given no frame yet.")
             else:
                 await self._wait()
 
@@ -109,18 +114,13 @@ class Webcam:
         """Return the newest shot; raise `DisconnectedError` where the camera is closed, gone, or silent."""
         if not self._opened:
             raise DisconnectedError("the webcam is closed: open it first.")
-        try:
-            shot = self.back_end.newest()
-        except DisconnectedError:
-            self._was_lost = True
-            raise
+        shot = self.back_end.newest()
         now = self._clock.now()
         self._heard_at = max(self._heard_at, self.back_end.heard_at)
         if now - self._heard_at > self._silence:
-            self._was_lost = True
             self.back_end.counters["silences"] += 1
             raise DisconnectedError(
-                f"{self._wanted.device} has given no frame for {describe(now - self._heard_at)}: "
+                f"{self._wanted.device} has given no frame for {describe(self._silence)} or more: "
                 "plug it in anew if that goes on, or give it more time with silence."
             )
         return shot
@@ -131,7 +131,7 @@ class Webcam:
             shot, values = await self.back_end.sensed()
             number = self._first + shot.sequence
             self._sample = Sample(values, shot.time, shot.arrival, number, shot.time_source)
-            self._next, self._was_lost = max(self._next, number + 1), False
+            self._next = max(self._next, number + 1)
         return self._sample
 
     async def _wait(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import mmap
 import os
 from typing import Protocol
@@ -34,13 +33,18 @@ class Kernel(Protocol):
 class LinuxKernel:
     """The kernel of this machine."""
 
+    def __init__(self) -> None:
+        from fcntl import ioctl  # not everywhere where OpenCV and the fakes are
+
+        self._ioctl = ioctl
+
     def open(self, path: str) -> int:
         """Open a device for reading and writing, without ever waiting; return its file."""
         return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
     def ioctl(self, file: int, request: int, structure: ctypes.Structure | ctypes.c_int) -> None:
         """Make a request whose answer is written into `structure`."""
-        fcntl.ioctl(file, request, structure)
+        self._ioctl(file, request, structure)
 
     def mmap(self, file: int, length: int, offset: int) -> Memory:
         """Map a buffer into this process, to be read."""

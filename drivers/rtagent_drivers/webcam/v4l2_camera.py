@@ -26,7 +26,7 @@ class V4L2Camera:
     def __init__(self, decoder: Decoder | None = None, kernel: Kernel | None = None) -> None:
         self.counters: Counter[str] = Counter()
         self._decoder = decoder
-        self.kernel: Kernel = kernel or LinuxKernel()
+        self.kernel = kernel
         self._stream: Stream | None = None
         self._error: DisconnectedError | None = None
         self._decoding: asyncio.Future[tuple[Shot, Values]] | None = None
@@ -42,7 +42,8 @@ class V4L2Camera:
         self._loop, self._now = asyncio.get_running_loop(), current().now
         self._features, self._told, self._error = features, told, None
         self._threads = ThreadPoolExecutor(1, "webcam")
-        opening = self._loop.run_in_executor(self._threads, Stream, self.kernel, wanted, self.counters)
+        kernel = self.kernel or LinuxKernel()
+        opening = self._loop.run_in_executor(self._threads, Stream, kernel, wanted, self.counters)
         try:
             self._stream = await asyncio.shield(opening)
         except BaseException:
