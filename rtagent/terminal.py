@@ -21,10 +21,12 @@ SIGNALS = {"c": signal.SIGINT, "\\": signal.SIGQUIT}
 _listened_to: dict[int, _Terminal] = {}
 
 
-def listen(heard: Heard, file: int | None = None) -> Callable[[], None] | None:
+def listen(heard: Heard, file: int | None = None, *, releases: bool = False) -> Callable[[], None] | None:
     """Have `heard` called with each key of the terminal `file` (standard input); return what ends that.
 
-    Keys then come at once and without an echo. None where it is no terminal, or this process is not in front.
+    Keys then come at once and without an echo, and with their `releases` where the terminal can tell them and all
+    who listen want them: Ctrl-C is then a key as well, which a loop that hangs would not hear. None where it is no
+    terminal, or this process is not in front.
     """
     if file is None:
         try:
@@ -36,15 +38,8 @@ def listen(heard: Heard, file: int | None = None) -> Callable[[], None] | None:
             return None
         _listened_to[file] = _Terminal(file)
     terminal = _listened_to[file]
-    terminal.listeners.append(heard)
-    return lambda: _end(terminal, heard)
-
-
-def _end(terminal: _Terminal, heard: Heard) -> None:
-    if heard in terminal.listeners:
-        terminal.listeners.remove(heard)
-    if not terminal.listeners:
-        terminal.give_back()
+    terminal.add(heard, releases)
+    return lambda: terminal.remove(heard)
 
 
 def _in_front(file: int) -> bool:
@@ -59,14 +54,28 @@ class _Terminal:
 
     def __init__(self, file: int) -> None:
         self._file, self._keys = file, Keys()
-        self.listeners: list[Heard] = []
+        self._listeners: dict[Heard, bool] = {}
         self._tells_releases = False
         self._before = termios.tcgetattr(file)
         self._loop = asyncio.get_running_loop()
         tty.setcbreak(file, termios.TCSANOW)
         atexit.register(self.give_back)
-        self._write(ASK)
         self._loop.add_reader(file, self._hear)
+
+    def add(self, heard: Heard, releases: bool) -> None:
+        """Tell one more; ask whether the terminal tells of releases, where one is to be told of them."""
+        self._listeners[heard] = releases
+        if releases and not self._keys.speaks:
+            self._write(ASK)
+        self._choose()
+
+    def remove(self, heard: Heard) -> None:
+        """Tell one less; the last gives the terminal back."""
+        self._listeners.pop(heard, None)
+        if self._listeners:
+            self._choose()
+        else:
+            self.give_back()
 
     def give_back(self) -> None:
         """Leave it as it was; what was typed and not read is dropped, answers to what was asked among it."""
@@ -91,16 +100,21 @@ class _Terminal:
         if not data:
             self._loop.remove_reader(self._file)  # it is gone
         keys = self._keys.feed(data)
-        if self._keys.speaks and not self._tells_releases:
-            self._tells_releases = True
-            self._write(BEGIN)
+        self._choose()
         for key in keys:
             self._tell(key)
+
+    def _choose(self) -> None:
+        """Have releases told where that is possible and wanted by all."""
+        wanted = self._keys.speaks and all(self._listeners.values())
+        if wanted != self._tells_releases:
+            self._tells_releases = wanted
+            self._write(BEGIN if wanted else END)
 
     def _tell(self, key: Key) -> None:
         if key.told and key.control and key.kind == "press" and key.name in SIGNALS:
             os.kill(os.getpid(), SIGNALS[key.name])
-        for heard in list(self.listeners):
+        for heard in list(self._listeners):
             heard(key)
 
     def _write(self, sequence: bytes) -> None:

@@ -32,6 +32,7 @@ from rtagent.learning import TD
 from rtagent.schedule import LEARN, OBSERVE, Wait
 from rtagent.specs import Spec
 from rtagent.tasks import Signals
+from rtagent.terminal import listen
 from rtagent.testing import DeviceContract
 from rtagent.units import ms, second
 from rtagent_drivers.button import Button
@@ -394,6 +395,35 @@ async def test_a_terminal_that_tells_releases_is_asked_for_them(monkeypatch: pyt
         while END not in written:
             written += os.read(typist, 1000)
         assert BEGIN in written
+
+
+async def test_who_stops_runs_hears_the_same_keys_and_leaves_signals_to_the_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    other_end, file = pty.openpty()
+    monkeypatch.setattr(os, "tcgetpgrp", lambda file: os.getpgrp())
+    stops: list[Key] = []
+    stop_listening = listen(stops.append, file)
+    assert stop_listening is not None
+    button = Button(shortest=0)
+    button._source.file = file  # type: ignore[attr-defined]  # in place of standard input
+    await button.open()
+    os.write(other_end, b"\x1b[?0ub ")
+    before = await button.read(-1)
+    await next_change(button, before)
+    assert stops == [Key("b"), Key("space")]
+    await button.close()
+    os.write(other_end, b"s")
+    await asyncio.sleep(0.05)
+    assert stops[-1] == Key("s")
+    stop_listening()
+    os.write(file, b"end")
+    written = b""
+    while b"end" not in written:
+        written += os.read(other_end, 1000)
+    assert BEGIN not in written
+    os.close(other_end)
+    os.close(file)
 
 
 async def test_without_a_terminal_there_is_no_keyboard() -> None:

@@ -43,7 +43,7 @@ class Keyboard:
         from rtagent.terminal import listen  # not everywhere: it needs termios
 
         self._hearing, self._held = hearing, False
-        self._stop_listening = listen(self._hear, self.file)
+        self._stop_listening = listen(self._hear, self.file, releases=True)
         if self._stop_listening is None:
             raise DisconnectedError(
                 "there is no terminal whose keys could be a button: run in one, in front, or give the button "
