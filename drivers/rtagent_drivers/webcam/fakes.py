@@ -52,12 +52,19 @@ def on_wire(**settings: Any) -> Device:
     return camera
 
 
-class ClipCapture:
-    """A clip behind the interface of cv2.VideoCapture, whose reads block; of the faults it has `hang_at`."""
+QUEUE = 4
+"""Frames that wait in OpenCV."""
 
-    def __init__(self, clip: Clip, fake: FakeSettings) -> None:
-        self._clip, self._fake = clip, fake
-        self._began, self._number = RealClock.now(), -1
+
+class ClipCapture:
+    """A clip behind the interface of cv2.VideoCapture, whose reads block; of the faults it has `hang_at`.
+
+    A read that hangs fails after `gives_up` (ns), as those of OpenCV do after 10 s. The clip began at `began` (ns).
+    """
+
+    def __init__(self, clip: Clip, fake: FakeSettings, gives_up: int = 10 * second) -> None:
+        self._clip, self._fake, self._gives_up = clip, fake, gives_up
+        self.began, self._number = RealClock.now(), -1
         self._hangs_at = sorted(fake.faults.hang_at)
         self._gone = Event()
 
@@ -71,18 +78,20 @@ class ClipCapture:
 
     def get(self, property_: int, /) -> float:
         """Return the stamp of the last frame, in ms."""
-        return (self._began + self._clip.taken(self._number)) / 1e6
+        return (self.began + self._clip.taken(self._number)) / 1e6
 
     def grab(self) -> bool:
-        """Wait for the next frame."""
+        """Wait for the next frame, or for the oldest of a short queue."""
+        elapsed = RealClock.now() - self.began - self._fake.delay
         self._number += 1
-        while self._clip.taken(self._number + 1) + self._fake.delay < RealClock.now() - self._began - second:
-            self._number += 1  # its queue is no longer than that
+        while self._clip.taken(self._number + QUEUE) < elapsed:
+            self._number += 1
         due = self._clip.taken(self._number) + self._fake.delay
         if self._hangs_at and due >= self._hangs_at[0]:
-            self._gone.wait()
-        self._gone.wait(max(0, self._began + due - RealClock.now()) / second)
-        return not self._gone.is_set()
+            self._gone.wait(self._gives_up / second)
+            return False
+        self._gone.wait(max(0, self.began + due - RealClock.now()) / second)
+        return True
 
     def retrieve(self) -> tuple[bool, Pixels]:
         """Return the last frame, BGR."""
