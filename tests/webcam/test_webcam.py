@@ -35,11 +35,11 @@ from rtagent_drivers.webcam.features import Region
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
 from rtagent_drivers.webcam.pictures import Pixels, as_yuyv
 from rtagent_drivers.webcam.scenes import read_film
-from rtagent_drivers.webcam.settings import FakeSettings
+from rtagent_drivers.webcam.settings import FakeCamera
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
 SMALL: dict[str, Any] = {"width": 64, "height": 48, "rate": 200.0, "silence": 100 * ms}
-QUICK = FakeSettings(delay=2 * ms)
+QUICK = FakeCamera(delay=2 * ms)
 
 
 def wired(**settings: Any) -> Webcam:
@@ -90,7 +90,7 @@ class TestFilm(DeviceContract):
         self.path = film_file(tmp_path / "film.npz", [0.0, 0.005, 0.01, 0.02, 0.025])
 
     def make_device(self) -> Device:
-        return Webcam.fakes["process"](**SMALL, fake=FakeSettings(file=self.path))
+        return Webcam.fakes["process"](**SMALL, fake=FakeCamera(file=self.path))
 
 
 # Frames
@@ -199,7 +199,7 @@ def test_the_colours_are_those_of_the_scene_on_every_way(settings: dict[str, str
     if isinstance(camera.back_end, V4L2Camera):
         camera.back_end.kernel = EmulatedKernel(Patches(), (64, 48), Faults())
     else:
-        camera.back_end = OpenCVCamera(lambda wanted: ClipCapture(Patches(), FakeSettings(delay=0)))
+        camera.back_end = OpenCVCamera(lambda wanted: ClipCapture(Patches(), FakeCamera(delay=0)))
 
     async def use(camera: Webcam) -> Sample:
         return await camera.read(-1)
@@ -226,13 +226,13 @@ def test_lost_and_damaged_frames_are_counted_and_seen_in_the_numbers() -> None:
         assert sample.sequence - first.sequence + 1 <= read + missing
 
     faults = Faults(drop=0.2, corrupt=0.2)
-    clock.run(with_camera(wired(fake=FakeSettings(faults=faults, delay=ms)), use))
+    clock.run(with_camera(wired(fake=FakeCamera(faults=faults, delay=ms)), use))
 
 
 @pytest.mark.parametrize("make_loop", ["asyncio", "uvloop"])
 def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -> None:
     faults = Faults(disconnect=((30 * ms, 80 * ms),))
-    camera = wired(fake=FakeSettings(faults=faults, delay=ms), silence=second)
+    camera = wired(fake=FakeCamera(faults=faults, delay=ms), silence=second)
 
     async def use() -> None:
         await camera.open()
@@ -254,7 +254,7 @@ def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -
 
 @pytest.mark.parametrize("settings", [{}, {"backend": "opencv"}])
 def test_a_camera_that_gives_nothing_any_more_is_taken_for_gone(settings: dict[str, str]) -> None:
-    camera = wired(fake=FakeSettings(faults=Faults(hang_at=(30 * ms,)), delay=ms), **settings)
+    camera = wired(fake=FakeCamera(faults=Faults(hang_at=(30 * ms,)), delay=ms), **settings)
 
     async def use() -> None:
         await camera.open()
@@ -272,7 +272,7 @@ def test_a_camera_that_gives_nothing_any_more_is_taken_for_gone(settings: dict[s
 
 def test_a_run_goes_on_while_the_camera_hangs_and_marks_its_samples() -> None:
     """The camera gives no frames between 150 ms and its return at about 400 ms, in a run of 600 ms."""
-    fake = FakeSettings(faults=Faults(hang_at=(150 * ms,)), delay=ms)
+    fake = FakeCamera(faults=Faults(hang_at=(150 * ms,)), delay=ms)
     camera = wired(fake=fake, silence=200 * ms)
     ages: list[tuple[int, bool]] = []
 
@@ -406,7 +406,7 @@ def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], sentence:
 def test_a_film_is_played_at_its_own_times_and_again(tmp_path: Path) -> None:
     path = film_file(tmp_path / "film.npz", [5.0, 5.1, 5.2, 5.4, 5.5])
     film = Webcam.fakes["process"](
-        **SMALL | {"rate": 10.0, "silence": second}, fake=FakeSettings(path, delay=30 * ms)
+        **SMALL | {"rate": 10.0, "silence": second}, fake=FakeCamera(path, delay=30 * ms)
     )
 
     async def main() -> list[tuple[int, int, float]]:
@@ -439,7 +439,7 @@ def test_a_film_on_the_wire_loses_nothing_of_what_is_read(tmp_path: Path) -> Non
             assert (number - sample.sequence) % 5 == offset
             sample = await camera.read(sample.sequence)
 
-    clock.run(with_camera(wired(rate=100.0, fake=FakeSettings(path, delay=ms)), use))
+    clock.run(with_camera(wired(rate=100.0, fake=FakeCamera(path, delay=ms)), use))
 
 
 def test_a_video_is_read_with_its_times(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from rtagent.units import Duration, Frequency, describe, second
 from rtagent_drivers.webcam import jpeg
 from rtagent_drivers.webcam.features import Features, Region
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
-from rtagent_drivers.webcam.settings import A_SCENE, FakeSettings
+from rtagent_drivers.webcam.settings import A_SCENE, FakeCamera
 from rtagent_drivers.webcam.shots import BackEnd, FormatName, Shot, Wanted
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
@@ -50,7 +50,7 @@ class Webcam:
         regions: dict[str, Region] | None = None,
         frame: tuple[int, int] | None = None,
         silence: Duration = 2 * second,
-        fake: FakeSettings = A_SCENE,
+        fake: FakeCamera = A_SCENE,
     ) -> None:
         _check(width, height, rate, silence)
         self.size = (width, height)

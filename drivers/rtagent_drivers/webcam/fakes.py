@@ -17,7 +17,7 @@ from rtagent_drivers.webcam.film import FilmDevice
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
 from rtagent_drivers.webcam.pictures import Pixels
 from rtagent_drivers.webcam.scenes import CameraWorld, Clip, Film, Scene, SceneClip, read_film
-from rtagent_drivers.webcam.settings import FakeSettings
+from rtagent_drivers.webcam.settings import FakeCamera
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
 
@@ -62,7 +62,7 @@ class ClipCapture:
     A read that hangs fails after `gives_up` (ns), as those of OpenCV do after 10 s. The clip began at `began` (ns).
     """
 
-    def __init__(self, clip: Clip, fake: FakeSettings, gives_up: int = 10 * second) -> None:
+    def __init__(self, clip: Clip, fake: FakeCamera, gives_up: int = 10 * second) -> None:
         self._clip, self._fake, self._gives_up = clip, fake, gives_up
         self.began, self._number = RealClock.now(), -1
         self._hangs_at = sorted(fake.faults.hang_at)
@@ -102,12 +102,12 @@ class ClipCapture:
         self._gone.set()
 
 
-def _fake(settings: dict[str, Any]) -> FakeSettings:
-    fake: FakeSettings = settings.get("fake", FakeSettings())
+def _fake(settings: dict[str, Any]) -> FakeCamera:
+    fake: FakeCamera = settings.get("fake", FakeCamera())
     return fake
 
 
-def _film(fake: FakeSettings, size: tuple[int, int], rate: float) -> Film:
+def _film(fake: FakeCamera, size: tuple[int, int], rate: float) -> Film:
     film = read_film(fake.file, size, fake.speed)
     if abs(film.rate - rate) > 0.01 * rate:
         raise SpecError(f'{fake.file} has {film.rate:.4g} frames a second: set rate = "{film.rate:.4g}Hz".')

@@ -30,6 +30,8 @@ LOOKED_AT = 1 * second
 CREDIBLE = 10 * second
 """A stamp is the monotonic clock's where it lies within so much of now."""
 
+COUNTED = ("frames_overtaken", "frames_damaged", "stamps_ahead", "threads_left_behind")
+
 GIVE_UP = 200 * ms
 """How long closing waits for the thread; one that hangs in a read is left behind."""
 
@@ -66,7 +68,7 @@ class OpenCVCamera:
     def __init__(self, open_capture: Callable[[Wanted], Capture] | None = None) -> None:
         if open_capture is None and importlib.util.find_spec("cv2") is None:
             raise SpecError('the back end "opencv" needs OpenCV: pip install "rtagent[webcam]".')
-        self.counters: Counter[str] = Counter()
+        self.counters = Counter(dict.fromkeys(COUNTED, 0))  # a thread adds to them: no key may come meanwhile
         self._open_capture = open_capture or _capture
         self._grabber: _Grabber | None = None
 
@@ -218,10 +220,8 @@ _POS_MSEC, _WIDTH, _HEIGHT, _FPS, _FOURCC, _BUFFERS = 0, 3, 4, 5, 6, 38
 def _capture(wanted: Wanted) -> Capture:
     import cv2
 
-    if sys.platform == "linux":
-        capture = cv2.VideoCapture(wanted.device, cv2.CAP_V4L2)
-    else:
-        capture = cv2.VideoCapture(int(wanted.device) if wanted.device.isdigit() else wanted.device)
+    device = int(wanted.device) if wanted.device.isdigit() else wanted.device
+    capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
     if not capture.isOpened():
         raise DisconnectedError(f"OpenCV cannot open {wanted.device}: plug it in, or look who uses it.")
     code = float(int.from_bytes(wanted.format.encode("ascii"), "little"))
@@ -235,4 +235,8 @@ def _capture(wanted: Wanted) -> Capture:
             f"{wanted.device} gives pictures of {got[0]} × {got[1]} pixels in place of "
             f"{wanted.width} × {wanted.height}: set width and height."
         )
+    rate = capture.get(_FPS)
+    if rate > 0 and abs(rate - wanted.rate) > 0.01 * wanted.rate:
+        capture.release()
+        raise DisconnectedError(f'{wanted.device} runs at {rate:.4g} Hz: set rate = "{rate:.4g}Hz".')
     return capture

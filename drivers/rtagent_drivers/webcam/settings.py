@@ -11,7 +11,7 @@ from rtagent_drivers.fake import CLOSED_SETTINGS, Faults
 
 
 @dataclass(frozen=True)
-class FakeSettings:
+class FakeCamera:
     """What a fake camera sees, and how: a scene, or a `file` of frames, played `speed` times as fast.
 
     A frame reaches the host `delay` after it was taken, and up to `jitter` later still.
@@ -26,4 +26,4 @@ class FakeSettings:
     faults: Faults = Faults()  # noqa: RUF009  # frozen: sharing it changes nothing
 
 
-A_SCENE = FakeSettings()
+A_SCENE = FakeCamera()

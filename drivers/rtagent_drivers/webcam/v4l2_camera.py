@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +43,8 @@ class V4L2Camera:
         self._loop, self._now = asyncio.get_running_loop(), current().now
         self._features, self._told, self._error = features, told, None
         self._threads = ThreadPoolExecutor(1, "webcam")
+        if self.kernel is None and sys.platform != "linux":
+            raise DisconnectedError('the back end "v4l2" is that of Linux: set backend = "opencv".')
         kernel = self.kernel or LinuxKernel()
         opening = self._loop.run_in_executor(self._threads, Stream, kernel, wanted, self.counters)
         try:
