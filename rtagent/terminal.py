@@ -58,9 +58,9 @@ class _Terminal:
         self._tells_releases = False
         self._before = termios.tcgetattr(file)
         self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(file, self._hear)  # a loop that cannot leaves the terminal as it is
         tty.setcbreak(file, termios.TCSANOW)
         atexit.register(self.give_back)
-        self._loop.add_reader(file, self._hear)
 
     def add(self, heard: Heard, releases: bool) -> None:
         """Tell one more; ask whether the terminal tells of releases, where one is to be told of them."""

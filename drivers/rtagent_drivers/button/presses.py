@@ -57,7 +57,7 @@ class Presses:
             self.counters["presses_again" if change.pressed else "releases_again"] += 1
             return
         last = self._waiting[-1].time if self._waiting else self._shown.time
-        change = change._replace(time=max(change.time, last))
+        change = change._replace(time=max(change.time, last + 1))  # what is seen already is past
         self.told = change.pressed
         self._waiting.append(change)
         if change.pressed:

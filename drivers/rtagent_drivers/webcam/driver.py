@@ -67,9 +67,9 @@ class Webcam:
         """Begin to stream, and wait for the first frame; raise `DisconnectedError` where none comes."""
         self._clock, self._event = current(), asyncio.Event()
         self._first, self._sample = self._next, None
-        await self.back_end.open(self._wanted, self.features, self._event_set)
-        self._opened, self._heard_at = True, self._clock.now() + max(FIRST_WITHIN - self._silence, 0)
         try:
+            await self.back_end.open(self._wanted, self.features, self._event.set)
+            self._opened, self._heard_at = True, self._clock.now() + max(FIRST_WITHIN - self._silence, 0)
             while self._newest() is None:
                 await self._wait()
         except BaseException:
@@ -99,16 +99,15 @@ class Webcam:
 
     async def close(self) -> None:
         """Let go of the camera."""
-        self._opened = False
+        if self._opened:
+            self._opened = False
+            self._event.set()  # who waits is told
         await self.back_end.close()
 
     @property
     def counters(self) -> Mapping[str, int]:
         """Frames that were lost, damaged, or overtaken by a newer one; stamps ahead of their arrival."""
         return +self.back_end.counters
-
-    def _event_set(self) -> None:
-        self._event.set()
 
     def _newest(self) -> Shot | None:
         """Return the newest shot; raise `DisconnectedError` where the camera is closed, gone, or silent."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.memory import claim
 from rtagent.specs import DeviceSpec
 from rtagent.units import ms, second
 from rtagent_drivers.webcam.features import Features
@@ -29,9 +30,6 @@ AWAY = (2 * second, 4 * second)
 SHOWN = (2 * second, 6 * second)
 WAY = 500 * ms
 """How long an object takes into the picture, and out of it."""
-
-LONGEST_FILM = 4_000_000_000
-"""Bytes that the frames of a film may take."""
 
 
 class Clip(Protocol):
@@ -215,9 +213,8 @@ def read_film(path: str, size: tuple[int, int], speed: float) -> Film:
     if not Path(path).is_file():
         raise SpecError(f"there is no file {path}: give a film, an .npz of frames and times or a video.")
     frames, times = _from_npz(path) if path.endswith(".npz") else _from_video(path)
-    if frames.nbytes > LONGEST_FILM:
-        raise SpecError(f"{path} takes {frames.nbytes / 1e9:.1f} GB of memory: cut it into shorter ones.")
     width, height = size
+    claim(len(frames) * height * width * 3, "the frames of a film")
     rows, columns = np.arange(height) * frames.shape[1] // height, np.arange(width) * frames.shape[2] // width
     fits = frames.shape[1:3] == (height, width)
     return Film(frames if fits else frames[:, rows[:, None], columns], times, speed, path)

@@ -16,7 +16,7 @@ from rtagent_drivers.webcam.kernel import Kernel, Memory
 from rtagent_drivers.webcam.pictures import YUYV, Picture
 from rtagent_drivers.webcam.shots import Dates, Shot, Wanted
 
-BUFFERS = 4
+BUFFERS, FEWEST = 4, 2
 SAME_RATE = 0.01
 MOST_EMPTY = 16
 """So many times in a row a file may be ready with nothing to be had: then it would keep the loop busy."""
@@ -164,6 +164,10 @@ class Stream:
     def _map(self) -> None:
         asked = v4l2.BufferRequest(count=BUFFERS, type=v4l2.CAPTURE, memory=v4l2.MMAP)
         self._ioctl(v4l2.REQBUFS, asked)
+        if asked.count < FEWEST:
+            raise DisconnectedError(
+                f"{self._wanted.device} has too few buffers ({asked.count}): end what else uses it."
+            )
         for index in range(asked.count):
             buffer = v4l2.Buffer(index=index, type=v4l2.CAPTURE, memory=v4l2.MMAP)
             self._ioctl(v4l2.QUERYBUF, buffer)
