@@ -105,13 +105,13 @@ def streaming(script: list[tuple[int, int] | int]) -> tuple[Stream, ScriptedKern
 
 def test_a_stream_is_drained_to_the_newest_frame_and_holds_only_that() -> None:
     stream, kernel = streaming([(3, MONOTONIC), (4, MONOTONIC), (6, MONOTONIC)])
-    stream.drain(10 * ms)
+    stream.drain(lambda: 10 * ms)
     assert stream.newest is not None
     assert (stream.newest.sequence, stream.newest.time, stream.newest.arrival) == (3, 5 * ms, 10 * ms)
     assert stream.counters == {"frames_overtaken": 2, "frames_lost": 1}
     assert len(kernel.free) == 3
     kernel.script = [(7, MONOTONIC)]
-    stream.drain(20 * ms)
+    stream.drain(lambda: 20 * ms)
     assert stream.newest.sequence == 4
     assert sorted(kernel.free) != sorted(set(range(4)))
     assert len(kernel.free) == 3
@@ -119,7 +119,7 @@ def test_a_stream_is_drained_to_the_newest_frame_and_holds_only_that() -> None:
 
 def test_numbers_that_begin_anew_after_32_bits_are_no_gap() -> None:
     stream, _ = streaming([(2**32 - 1, MONOTONIC), (0, MONOTONIC), (2, MONOTONIC)])
-    stream.drain(10 * ms)
+    stream.drain(lambda: 10 * ms)
     assert stream.counters["frames_lost"] == 1
     assert stream.newest is not None
     assert stream.newest.sequence == 3
@@ -127,7 +127,7 @@ def test_numbers_that_begin_anew_after_32_bits_are_no_gap() -> None:
 
 def test_damaged_frames_and_errors_that_pass_are_counted_and_left_out() -> None:
     stream, kernel = streaming([(0, MONOTONIC), (1, MONOTONIC | v4l2.DAMAGED), errno.EIO])
-    stream.drain(10 * ms)
+    stream.drain(lambda: 10 * ms)
     assert stream.newest is not None
     assert stream.newest.sequence == 0
     assert stream.counters == {"frames_damaged": 2, "frames_lost": 0}
@@ -137,20 +137,20 @@ def test_damaged_frames_and_errors_that_pass_are_counted_and_left_out() -> None:
 def test_an_unplugged_camera_is_told() -> None:
     stream, _ = streaming([(0, MONOTONIC), errno.ENODEV])
     with pytest.raises(DisconnectedError, match="unplugged: plug it in"):
-        stream.drain(10 * ms)
+        stream.drain(lambda: 10 * ms)
 
 
 def test_a_file_that_is_ready_and_gives_nothing_does_not_keep_the_loop_busy() -> None:
     stream, _ = streaming([])
     for _ in range(16):
-        stream.drain(0, ready=True)
+        stream.drain(lambda: 0, ready=True)
     with pytest.raises(DisconnectedError, match="gives none"):
-        stream.drain(0, ready=True)
+        stream.drain(lambda: 0, ready=True)
 
 
 def test_a_stamp_without_a_clock_is_the_arrival() -> None:
     stream, _ = streaming([(0, 0)])
-    stream.drain(10 * ms)
+    stream.drain(lambda: 10 * ms)
     assert stream.newest is not None
     assert (stream.newest.time, stream.newest.time_source) == (10 * ms, "arrival")
 
@@ -205,7 +205,7 @@ def test_errors_are_told_with_their_cure(number: int, sentence: str) -> None:
 
 def test_a_frame_that_is_too_short_is_not_read_beyond_its_end() -> None:
     stream, kernel = streaming([(0, MONOTONIC)])
-    stream.drain(10 * ms)
+    stream.drain(lambda: 10 * ms)
     assert stream.picture().rows.shape == (48, 128)
     held = stream._held
     assert held is not None

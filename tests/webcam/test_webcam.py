@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from threading import Event
@@ -130,15 +131,16 @@ def test_frames_come_with_the_kernels_stamps(make_loop: str) -> None:
 
 def test_after_the_loop_was_blocked_the_newest_frame_of_the_buffers_is_found_and_then_a_fresh_one() -> None:
     async def use(camera: Webcam) -> None:
-        first = await camera.read(-1)
+        first, before = await camera.read(-1), camera.counters
         await clock.current().compute(60 * ms)  # 12 frames, of which the buffers hold some
         found = await camera.read(-1)
         assert 1 <= found.sequence - first.sequence <= 5, "the buffers were full with these"
         fresh = await camera.read(found.sequence)
         assert fresh.world_time - found.world_time > 20 * ms
-        counters = camera.counters
-        assert counters["frames_overtaken"] >= 1
-        assert fresh.sequence == first.sequence + counters["frames_overtaken"] + counters["frames_lost"] + 2
+        counted = Counter(camera.counters) - Counter(before)
+        assert counted["frames_overtaken"] >= 1
+        assert counted["frames_lost"] >= 5
+        assert fresh.sequence - first.sequence >= counted["frames_overtaken"] + counted["frames_lost"] + 2
 
     clock.run(with_camera(wired(), use))
 
@@ -231,7 +233,7 @@ def test_lost_and_damaged_frames_are_counted_and_seen_in_the_numbers() -> None:
 
 @pytest.mark.parametrize("make_loop", ["asyncio", "uvloop"])
 def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -> None:
-    faults = Faults(disconnect=((30 * ms, 80 * ms),))
+    faults = Faults(disconnect=((30 * ms,),))
     camera = wired(fake=FakeCamera(faults=faults, delay=ms), silence=second)
 
     async def use() -> None:
@@ -242,7 +244,7 @@ def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -
         await camera.close()
         with pytest.raises(DisconnectedError, match="no camera"):
             await camera.open()
-        await asyncio.sleep(0.08)
+        camera.back_end.kernel._faults = Faults()  # type: ignore[attr-defined]  # it is plugged in again
         await camera.open()
         back = await camera.read(-1)
         assert back.sequence > last.sequence

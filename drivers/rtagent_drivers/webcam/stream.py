@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections import Counter
+from collections.abc import Callable
 from ctypes import c_int
 from pathlib import Path
 
@@ -52,12 +53,12 @@ class Stream:
             self.close()
             raise
 
-    def drain(self, now: int, *, ready: bool = False) -> None:
-        """Take what has come until `now` (ns) and keep the newest; `ready`: the file was said to be so."""
+    def drain(self, now: Callable[[], int], *, ready: bool = False) -> None:
+        """Take what has come, and keep the newest; `now` tells the time, `ready`: the file was said to be so."""
         before = self._held
         try:
             while (buffer := self._dequeue()) is not None:
-                self._take(buffer, now, before)
+                self._take(buffer, now(), before)
             if before is not None and before is not self._held:
                 self._ioctl(v4l2.QBUF, before)
         except OSError as error:

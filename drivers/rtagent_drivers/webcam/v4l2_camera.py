@@ -94,7 +94,7 @@ class V4L2Camera:
         if self._stream is None:
             return
         try:
-            self._stream.drain(self._now(), ready=ready)
+            self._stream.drain(self._now, ready=ready)
         except DisconnectedError as error:
             self._error = error
             self._loop.remove_reader(self._stream.file)
