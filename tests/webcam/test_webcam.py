@@ -39,7 +39,7 @@ from rtagent_drivers.webcam.scenes import read_film
 from rtagent_drivers.webcam.settings import FakeCamera
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
-SMALL: dict[str, Any] = {"width": 64, "height": 48, "rate": 200.0, "silence": 100 * ms}
+SMALL: dict[str, Any] = {"width": 64, "height": 48, "rate": 200.0, "silence": second}
 QUICK = FakeCamera(delay=2 * ms)
 
 
@@ -233,8 +233,8 @@ def test_lost_and_damaged_frames_are_counted_and_seen_in_the_numbers() -> None:
 
 @pytest.mark.parametrize("make_loop", ["asyncio", "uvloop"])
 def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -> None:
-    faults = Faults(disconnect=((30 * ms,),))
-    camera = wired(fake=FakeCamera(faults=faults, delay=ms), silence=second)
+    faults = Faults(disconnect=((100 * ms,),))
+    camera = wired(fake=FakeCamera(faults=faults, delay=ms))
 
     async def use() -> None:
         await camera.open()
@@ -256,7 +256,8 @@ def test_a_camera_that_is_unplugged_ends_a_read_and_comes_back(make_loop: str) -
 
 @pytest.mark.parametrize("settings", [{}, {"backend": "opencv"}])
 def test_a_camera_that_gives_nothing_any_more_is_taken_for_gone(settings: dict[str, str]) -> None:
-    camera = wired(fake=FakeCamera(faults=Faults(hang_at=(30 * ms,)), delay=ms), **settings)
+    fake = FakeCamera(faults=Faults(hang_at=(100 * ms,)), delay=ms)
+    camera = wired(fake=fake, silence=100 * ms, **settings)
 
     async def use() -> None:
         await camera.open()
@@ -264,7 +265,7 @@ def test_a_camera_that_gives_nothing_any_more_is_taken_for_gone(settings: dict[s
         began = RealClock.now()
         with pytest.raises(DisconnectedError, match="has given no frame"):
             await camera.read(last.sequence + 1000)
-        assert RealClock.now() - began < 2 * second
+        assert RealClock.now() - began < 5 * second, "within its silence, not only when the read gives up"
         assert camera.counters["silences"] == 1
         await camera.close()
 
@@ -293,10 +294,10 @@ def test_a_run_goes_on_while_the_camera_hangs_and_marks_its_samples() -> None:
 
     result = clock.run(main())
     assert all(stale == (age > 50 * ms) for age, stale in ages)
-    assert sum(stale for _, stale in ages) >= 5
-    assert ages[-1][0] < 50 * ms, "it came back"
+    marked = [stale for _, stale in ages]
+    assert False in marked[marked.index(True) :], "it came back"
     assert result.device_counters["camera"]["reopened"] >= 1
-    assert len(ages) > 40, "the cycles went on meanwhile"
+    assert sum(marked) > 5, "the cycles went on meanwhile"
 
 
 def test_a_thread_that_hangs_is_left_behind_and_nobody_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -321,7 +322,7 @@ def test_a_thread_that_hangs_is_left_behind_and_nobody_waits_for_it(monkeypatch:
 
         def release(self) -> None: ...
 
-    camera = Webcam(**SMALL | {"backend": "opencv"})
+    camera = Webcam(**SMALL | {"backend": "opencv", "silence": 100 * ms})
     camera.back_end = OpenCVCamera(lambda wanted: Hanging())
 
     async def use() -> None:
@@ -407,9 +408,7 @@ def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], sentence:
 
 def test_a_film_is_played_at_its_own_times_and_again(tmp_path: Path) -> None:
     path = film_file(tmp_path / "film.npz", [5.0, 5.1, 5.2, 5.4, 5.5])
-    film = Webcam.fakes["process"](
-        **SMALL | {"rate": 10.0, "silence": second}, fake=FakeCamera(path, delay=30 * ms)
-    )
+    film = Webcam.fakes["process"](**SMALL | {"rate": 10.0}, fake=FakeCamera(path, delay=30 * ms))
 
     async def main() -> list[tuple[int, int, float]]:
         await film.open()
@@ -478,9 +477,7 @@ def test_a_file_that_is_no_film_is_refused(arrays: dict[str, Any], sentence: str
 
 
 def test_stimuli_are_the_coming_of_objects_and_change_what_is_seen() -> None:
-    device = Webcam.fakes["process"](
-        **SMALL | {"rate": 20.0, "silence": second}, regions={"top": Region(28, 0, 8, 2)}
-    )
+    device = Webcam.fakes["process"](**SMALL | {"rate": 20.0}, regions={"top": Region(28, 0, 8, 2)})
 
     async def main() -> None:
         await device.open()
