@@ -44,6 +44,8 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         )
         yield f"device {name} ({scenario.devices[name].name}): senses {sensors}; takes {actuators}"
     yield from device_notes(assembly)
+    if assembly.guarded:
+        yield f"a watchdog makes it safe when the event loop stalls for {describe(assembly.watchdog.timeout)}"
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"

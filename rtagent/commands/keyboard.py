@@ -14,8 +14,8 @@ T = TypeVar("T")
 STOPS = {"space": "space", "s": "s", "escape": "Esc"}
 
 
-async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO) -> T:
-    """Await `run` while the keys of the terminal, where there is one to read, can trip `latch`."""
+async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO | None) -> T:
+    """Await `run` while the keys of the terminal, where there is one to read, can trip `latch`, told on `out`."""
 
     def hear(key: Key) -> None:
         if key.name in STOPS and not key.control:
@@ -24,8 +24,9 @@ async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO) 
     stop_listening = listen(hear)
     if stop_listening is None:
         return await run
-    out.write("space, s or Esc: stop\n")
-    out.flush()
+    if out is not None:
+        out.write("space, s or Esc: stop\n")
+        out.flush()
     try:
         return await run
     finally:

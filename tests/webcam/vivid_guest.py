@@ -13,9 +13,15 @@ from fcntl import ioctl
 from pathlib import Path
 from statistics import median
 
-from rtagent import clock
+from rtagent import Agent, Limits, Plan, Schedule, clock, run
 from rtagent.errors import DisconnectedError
-from rtagent.experience import Sample
+from rtagent.experience import Observation, Sample
+from rtagent.features import Binned
+from rtagent.instruments import Instrument
+from rtagent.learning import TD
+from rtagent.schedule import LEARN, OBSERVE, Wait
+from rtagent.supervision import Supervision
+from rtagent.tasks import Signals
 from rtagent.units import ms
 from rtagent_drivers.webcam import Webcam
 from rtagent_drivers.webcam.v4l2 import QUERYCTRL, S_CTRL, Control, ControlQuery
@@ -128,7 +134,7 @@ async def blocked() -> None:
 
 
 async def unplug(disconnect: int, **settings: object) -> None:
-    tell(f"-- unplugged and plugged in again {settings or ''}")
+    tell(f"-- unplugged and plugged in again {settings or ''}".rstrip())
     camera = Webcam(device=CAMERA, **settings)  # type: ignore[arg-type]  # settings of all kinds
     await camera.open()
     last = (await frames(camera, 10))[-1]
@@ -152,6 +158,39 @@ async def unplug(disconnect: int, **settings: object) -> None:
     )
     steady(await frames(camera, 15), camera.spec.rate)
     await camera.close()
+
+
+class Cycles(Instrument):
+    """When cycles observed, how old the frame was by its own time, and whether it was marked."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[int, int, bool]] = []
+
+    def observed(self, observation: Observation, stimuli: object) -> None:
+        self.seen.append((observation.time, observation.age("camera"), "camera" in observation.stale))
+
+
+async def supervised(disconnect: int) -> None:
+    tell("-- unplugged in a run that observes 50 times a second, and plugged in again")
+    camera, cycles = Webcam(device=CAMERA), Cycles()
+    task = Signals(signals=("camera.red", "camera.green"))
+    task.bind({"camera": camera.spec})
+    agent = Agent(Binned(state=task.state, bins=4), TD(size=16))
+    schedule = Schedule((OBSERVE, LEARN), period=20 * ms, observe=Wait.LATEST)
+    patience = {"camera": Supervision(timeout=10_000 * ms, stale_after=150 * ms)}
+    asyncio.get_running_loop().call_later(2.0, turn, disconnect, 1)
+    plan = Plan(limits=Limits(episode_time=4_000 * ms))
+    result = await run({"camera": camera}, task, agent, schedule, plan, supervision=patience, instruments=[cycles])
+    counts, seen = result.device_counters["camera"], cycles.seen
+    gone = [number for number, (_, age, _) in enumerate(seen) if age > 100 * ms]
+    periods = [after[0] - before[0] for before, after in itertools.pairwise(seen)]
+    say(
+        f"{len(seen)} observations, {median(periods) / ms:.1f} ms apart in the median; the oldest frame was "
+        f"{max(age for _, age, _ in seen) / ms:.0f} ms old, {sum(marked for *_, marked in seen)} were marked as stale, "
+        f"the last was {seen[-1][1] / ms:.0f} ms old",
+        all(marked == (age > 150 * ms) for _, age, marked in seen) and seen[-1][1] < 150 * ms,
+    )
+    say(f"counted: {counts}", counts.get("reopened", 0) >= 1 and bool(gone) and not result.faults[-1].fatal)
 
 
 async def absent() -> None:
@@ -195,6 +234,7 @@ def main() -> int:
     clock.run(absent())
     clock.run(unplug(found["Disconnect"]))
     clock.run(unplug(found["Disconnect"]), make_loop=uvloop_loop)
+    clock.run(supervised(found["Disconnect"]))
     clock.run(stream(backend="opencv", rate=25.0))
     clock.run(unplug(found["Disconnect"], backend="opencv", rate=25.0))
     left = [link for link in Path("/proc/self/fd").iterdir() if "video" in os.path.realpath(link)]
