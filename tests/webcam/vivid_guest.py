@@ -186,8 +186,8 @@ async def supervised(disconnect: int) -> None:
     periods = [after[0] - before[0] for before, after in itertools.pairwise(seen)]
     say(
         f"{len(seen)} observations, {median(periods) / ms:.1f} ms apart in the median; the oldest frame was "
-        f"{max(age for _, age, _ in seen) / ms:.0f} ms old, {sum(marked for *_, marked in seen)} were marked as stale, "
-        f"the last was {seen[-1][1] / ms:.0f} ms old",
+        f"{max(age for _, age, _ in seen) / ms:.0f} ms old, {sum(marked for *_, marked in seen)} were marked as "
+        f"stale, the last was {seen[-1][1] / ms:.0f} ms old",
         all(marked == (age > 150 * ms) for _, age, marked in seen) and seen[-1][1] < 150 * ms,
     )
     say(f"counted: {counts}", counts.get("reopened", 0) >= 1 and bool(gone) and not result.faults[-1].fatal)
