@@ -3,114 +3,56 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
-import numpy as np
 from numpy.random import Generator
 
-from rtagent.errors import PluginError, SpecError, did_you_mean
+from rtagent.errors import DeviceError, SpecError
 from rtagent.experience import Command, Stimulus, Values
-from rtagent.specs import DeviceSpec, Spec
-from rtagent.units import Duration, second
+from rtagent.units import Duration, describe, second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
-
-if TYPE_CHECKING:
-    import gymnasium
-
-SEEDS = 2**31
-STEP_NAMES = ("tau", "dt")
-"""What environments call the length of a step, in s."""
+from rtagent_drivers.gym_environment import Environment, Frame, Step, make, own_step
 
 KEPT = 1000
-"""At least so many steps are remembered, for samples that come late."""
-
-
-@dataclass(frozen=True)
-class View:
-    """How an environment's observation is named and bounded: a signal for each of its numbers.
-
-    A value outside its range is given as the nearest within.
-    """
-
-    names: Sequence[str]
-    low: Sequence[float]
-    high: Sequence[float]
-
-    @classmethod
-    def of(cls, space: gymnasium.Space[Any], ranges: Mapping[str, tuple[float, float]]) -> View:
-        """Return the view of an observation space; raise `SpecError` where it is no vector of numbers."""
-        low, high = _bounds(space)
-        names = [f"observation_{place}" for place in range(len(low))]
-        for name in ranges:
-            if name not in names:
-                raise SpecError(f"ranges: there is no {name!r}{did_you_mean(name, names)}")
-        given = [ranges.get(name, ends) for name, ends in zip(names, zip(low, high, strict=True), strict=True)]
-        return cls(names, [ends[0] for ends in given], [ends[1] for ends in given])
-
-    def specs(self) -> dict[str, Spec]:
-        """Return the specs of the signals."""
-        ends = zip(self.names, self.low, self.high, strict=True)
-        return {name: Spec(low=low, high=high) for name, low, high in ends}
-
-    def values(self, observation: Any) -> dict[str, float]:
-        """Return the signals of an observation."""
-        numbers = np.clip(np.ravel(observation), self.low, self.high)
-        return dict(zip(self.names, numbers.tolist(), strict=True))
-
-
-class Frame(NamedTuple):
-    """What is so from `time` (ns) on; `reward` is the sum since the episode began."""
-
-    time: int
-    observation: dict[str, float]
-    reward: float
-    terminated: bool = False
-    truncated: bool = False
-
-    @property
-    def over(self) -> bool:
-        """Whether the environment has ended."""
-        return self.terminated or self.truncated
-
-    def values(self) -> Values:
-        """Return it as the sensors give it."""
-        return self.observation | {
-            "reward": self.reward,
-            "terminated": self.terminated,
-            "truncated": self.truncated,
-        }
+"""So many steps are remembered at least, for samples that come late."""
 
 
 class GymnasiumWorld:
-    """An environment as a function of time; what it did is kept, for samples that come late.
+    """An environment as a function of time: at the end of each `step` (ns) it makes one, under the last action.
 
-    Before the first command of an episode it is under action `idle`. `actions` are what is handed to the
-    environment for the actions 0, 1, ….
+    An action counts for the whole of the step in which it comes. Before the first of an episode that is `idle`.
+    What was so is kept for `reach` (ns) at least, for samples that come late.
     """
 
     def __init__(
-        self, environment: gymnasium.Env[Any, Any], view: View, actions: Sequence[Any], step: int, idle: int
+        self, environment: Environment, step: int, idle: int = 0, reach: int = 0, notes: Sequence[str] = ()
     ) -> None:
-        self._environment, self._view, self._actions = environment, view, actions
-        self._step, self._idle = step, idle
-        self.spec = _spec(view, len(actions), synchronous=False)
+        self._environment, self._step, self._idle = environment, step, idle
+        self._kept = KEPT + reach // step
+        self.spec = environment.spec(synchronous=False)
+        self.notes = notes
+
+    def prepare(self, rng: Generator) -> None:
+        """Reset the environment, which may take long."""
+        self._first = self._environment.reset(rng)
 
     def begin(self, now: int, rng: Generator) -> None:
-        """Reset the environment with a seed drawn from `rng`."""
-        observation, _ = self._environment.reset(seed=int(rng.integers(SEEDS)))
-        self._frames = [Frame(now, self._view.values(observation), 0.0)]
+        """Begin with what the reset gave."""
+        self._frames = [Frame(now, self._first)]
         self._action = self._idle
 
     def values(self, time: int) -> Values:
-        """Return the newest frame at `time` (ns)."""
-        self._advance(time)
-        return self._frames[bisect_right(self._frames, time, key=lambda frame: frame.time) - 1].values()
+        """Return the newest frame at `time` (ns); raise `DeviceError` where that is forgotten."""
+        self._go_on(time)
+        place = self._following(time)
+        if not place:
+            raise DeviceError(f"what was so at that time is forgotten: it was more than {self._kept} steps ago.")
+        return self._frames[place - 1].values()
 
     def command(self, now: int, command: Command) -> Command:
         """Take the action that is in force from now on."""
-        self._advance(now)
+        self._go_on(now)
         self._action = int(command["action"])
         return command
 
@@ -119,44 +61,56 @@ class GymnasiumWorld:
         return ()
 
     def next_change(self, now: int) -> int | None:
-        """Return the time of the next step, if there is one."""
-        self._advance(now)
+        """Return the end of the step that goes on at `now`, or None after the last."""
+        self._go_on(now)
+        place = max(self._following(now), 1)
+        if place < len(self._frames):
+            return self._frames[place].time
         newest = self._frames[-1]
         return None if newest.over else newest.time + self._step
 
     def make_safe(self, now: int) -> None:
         """Do nothing: nothing of it moves outside this process."""
 
-    def _advance(self, time: int) -> None:
+    def _following(self, time: int) -> int:
+        """Return the place of the first frame after `time`."""
+        if self._frames[-1].time <= time:
+            return len(self._frames)
+        return bisect_right(self._frames, time, key=lambda frame: frame.time)
+
+    def _go_on(self, time: int) -> None:
         newest = self._frames[-1]
         while not newest.over and newest.time + self._step <= time:
-            newest = stepped(self._environment, self._view, newest, self._actions[self._action], self._step)
+            newest = self._environment.step(newest, self._action, self._step)
             self._frames.append(newest)
-        if len(self._frames) > 2 * KEPT:
-            del self._frames[:KEPT]
+            if len(self._frames) > 2 * self._kept:
+                del self._frames[: self._kept]
 
 
 class SynchronousGymnasiumWorld:
     """An environment that waits: each command is a step of it, and nothing else is."""
 
-    def __init__(self, environment: gymnasium.Env[Any, Any], view: View, actions: Sequence[Any]) -> None:
-        self._environment, self._view, self._actions = environment, view, actions
-        self.spec = _spec(view, len(actions), synchronous=True)
+    def __init__(self, environment: Environment, notes: Sequence[str] = ()) -> None:
+        self._environment = environment
+        self.spec = environment.spec(synchronous=True)
+        self.notes = notes
+
+    def prepare(self, rng: Generator) -> None:
+        """Reset the environment, which may take long."""
+        self._first = self._environment.reset(rng)
 
     def begin(self, now: int, rng: Generator) -> None:
-        """Reset the environment with a seed drawn from `rng`."""
-        observation, _ = self._environment.reset(seed=int(rng.integers(SEEDS)))
-        self._newest = Frame(now, self._view.values(observation), 0.0)
+        """Begin with what the reset gave."""
+        self._newest = Frame(now, self._first)
 
     def values(self, time: int) -> Values:
         """Return what the last step gave."""
         return self._newest.values()
 
     def command(self, now: int, command: Command) -> Command:
-        """Make a step."""
+        """Make a step, unless the environment has ended."""
         if not self._newest.over:
-            action = self._actions[int(command["action"])]
-            self._newest = stepped(self._environment, self._view, self._newest, action, 0)
+            self._newest = self._environment.step(self._newest, int(command["action"]), 0)
         return command
 
     def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
@@ -169,13 +123,6 @@ class SynchronousGymnasiumWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: it does not move by itself."""
-
-
-def stepped(environment: gymnasium.Env[Any, Any], view: View, last: Frame, action: Any, duration: int) -> Frame:
-    """Make one step of an environment, of so long a `duration` (ns)."""
-    observation, reward, terminated, truncated, _ = environment.step(action)
-    total = last.reward + float(reward)
-    return Frame(last.time + duration, view.values(observation), total, bool(terminated), bool(truncated))
 
 
 def gymnasium_world(
@@ -191,74 +138,24 @@ def gymnasium_world(
     faults: Faults | None = None,
 ) -> FakeDevice:
     """A Gymnasium environment that goes on by itself at its own time step, or step by step if synchronous."""
-    made = _made(environment, arguments or {})
-    view = View.of(made.observation_space, ranges or {})
-    choices = _choices(made.action_space, actions)
-    if not 0 <= idle < len(choices):
-        raise SpecError(f"idle is {idle}: give one of the {len(choices)} actions, counted from 0.")
+    if step < 0:
+        raise SpecError("step is negative: give a time, or leave it out for the environment's own.")
+    made = make(environment, arguments or {})
+    wrapped = Environment(made.environment, ranges or {}, actions)
+    if not 0 <= idle < wrapped.actions:
+        raise SpecError(f"idle is {idle}: give one of the {wrapped.actions} actions, counted from 0.")
     if synchronous:
-        return FakeDevice(SynchronousGymnasiumWorld(made, view, choices), sampling, faults)
-    step = step or _own_step(made)
-    world = GymnasiumWorld(made, view, choices, step, idle)
-    return FakeDevice(world, sampling or Sampling(rate=second / step), faults)
+        if sampling is not None:
+            raise SpecError("a synchronous environment changes with commands only: leave out sampling.")
+        return FakeDevice(SynchronousGymnasiumWorld(wrapped, made.warnings), None, faults)
+    own = Step(step, "step") if step else own_step(made.environment)
+    sampling = sampling or Sampling(rate=second / own.length)
+    notes = [f"a step takes {describe(own.length)} (its {own.source})", *made.warnings]
+    world = GymnasiumWorld(wrapped, own.length, idle, _reach(sampling, faults or Faults()), notes)
+    return FakeDevice(world, sampling, faults)
 
 
-def _spec(view: View, actions: int, synchronous: bool) -> DeviceSpec:
-    outcome = {"reward": Spec(), "terminated": Spec.flag(), "truncated": Spec.flag()}
-    return DeviceSpec(view.specs() | outcome, {"action": Spec.discrete(actions)}, synchronous=synchronous)
-
-
-def _made(environment: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise PluginError(
-            "the driver 'gymnasium' needs the package of that name: pip install 'rtagent[gymnasium]'."
-        ) from error
-    try:
-        made: gymnasium.Env[Any, Any] = gymnasium.make(environment, **arguments)
-    except (gymnasium.error.Error, TypeError, ImportError) as error:
-        raise SpecError(f"environment {environment!r} cannot be made: {error}") from error
-    return made
-
-
-def _bounds(space: gymnasium.Space[Any]) -> tuple[list[float], list[float]]:
-    from gymnasium.spaces import Box, Discrete
-
-    if isinstance(space, Discrete):
-        return [float(space.start)], [float(space.start + space.n - 1)]
-    if isinstance(space, Box) and space.dtype.kind in "fiu":
-        return np.ravel(space.low).astype(float).tolist(), np.ravel(space.high).astype(float).tolist()
-    raise SpecError(
-        f"its observations are {space}: a Box of numbers or a Discrete is needed; wrap the environment."
-    )
-
-
-def _choices(space: gymnasium.Space[Any], given: Sequence[Sequence[float]]) -> list[Any]:
-    """Return what the actions 0, 1, … are to the environment."""
-    from gymnasium.spaces import Box, Discrete
-
-    if isinstance(space, Discrete) and not given:
-        return [int(space.start) + action for action in range(int(space.n))]
-    if isinstance(space, Box):
-        made = [np.array(action, dtype=space.dtype) for action in given]
-        if made and all(action.shape == space.shape and space.contains(action) for action in made):
-            return list(made)
-        raise SpecError(
-            f"its actions are {space}: give actions, a list of those to choose from, such as [[-1], [1]]."
-        )
-    if given:
-        raise SpecError(f"its actions are {space}, which has its own: leave out actions.")
-    raise SpecError(f"its actions are {space}: a Discrete or a Box is needed; wrap the environment.")
-
-
-def _own_step(environment: gymnasium.Env[Any, Any]) -> int:
-    """Return the environment's own time step in ns; raise `SpecError` where it has none."""
-    for name in STEP_NAMES:
-        length = getattr(environment.unwrapped, name, None)
-        if isinstance(length, int | float) and length > 0:
-            return round(length * second)
-    rate = float(environment.metadata.get("render_fps") or 0.0)
-    if not rate:
-        raise SpecError("this environment does not say how long a step of it is: give step a time, such as 20ms.")
-    return round(second / rate)
+def _reach(sampling: Sampling, faults: Faults) -> int:
+    """Return how old the newest sample may be, in ns, if none is lost."""
+    period = round(second / sampling.rate) if sampling.rate else 0
+    return period + sampling.delay + sampling.jitter + faults.lateness

@@ -38,7 +38,8 @@ class EnvironmentTask:
         values = observation.samples[self._environment].values
         state = tuple([float(values[name]) for name in self._names])
         reward = self._reward.since_last(values["reward"])
-        return Outcome(state, reward, bool(values["terminated"]), bool(values["truncated"]))
+        terminated = bool(values["terminated"])  # which is the end, whether or not time is up as well
+        return Outcome(state, reward, terminated, bool(values["truncated"]) and not terminated)
 
     def commands(self, action: int) -> Mapping[str, Command]:
         """Return the command of an action."""
