@@ -30,7 +30,7 @@ STEP_NAMES = ("tau", "dt")
 """What environments call the length of a step, in s."""
 
 NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
-COLOUR = re.compile(r"\x1b\[\d+m|^WARN: ", re.MULTILINE)
+COLOUR = re.compile(r"\x1b\[\d+m(WARN: )?")
 
 
 class Frame(NamedTuple):
