@@ -20,6 +20,7 @@ from test_equivalence import Learned
 from test_presets import counted
 
 from rtagent import Observation, Sample, Spec, Transition, clock, ms, second
+from rtagent.__main__ import main
 from rtagent.clock import current
 from rtagent.errors import DeviceError, PluginError, RtagentError, SpecError
 from rtagent.experience import FloatArray, Values
@@ -148,11 +149,15 @@ def test_all_three_run_under_every_preset_and_clock(preset: str, clock_name: clo
             "run.episode_steps=6",
             "devices.environment.step=2ms",
             "schedule.learn_delay=1ms",
+            "devices.environment.arguments={max_episode_steps=100000}",
         ]
         rules = [f"schedule.preset={preset}", f"run.clock={clock_name}"]
         result = clock.run(assemble(load(SCENARIOS / f"{scenario}.toml", [*short, *rules])).run(), clock_name)
         steps = [episode.steps for episode in result.episodes]
-        assert [0 < count <= 6 for count in steps] == [True, True]
+        if scenario == "cartpole":  # which may have fallen while a busy machine did something else
+            assert all(count <= 6 for count in steps)
+        else:
+            assert steps == [6, 6]
         assert sum(counted(result).values()) == sum(steps)
         assert not result.recorder.faults
 
@@ -486,6 +491,15 @@ def test_a_scenario_that_misspells_its_environment_says_where(tmp_path: Any) -> 
         assemble(load(path))
 
 
+@pytest.mark.parametrize(("timeout", "told"), [("100ms", True), ("200ms", False), ("1s", False)])
+def test_check_tells_of_a_world_that_has_less_news_than_observe_has_patience(
+    timeout: str, told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acrobot = ["check", str(SCENARIOS / "acrobot.toml"), "--set", f"schedule.observe_timeout={timeout}"]
+    assert main(acrobot) == 0
+    assert ("nothing new comes for 200 ms at a time" in capsys.readouterr().out) is told
+
+
 def test_the_task_has_the_state_and_the_actions_of_its_environment() -> None:
     device = gymnasium_world(environment="MountainCar-v0")
     task: Task = EnvironmentTask(environment="car")
@@ -506,7 +520,7 @@ def test_the_task_is_urgent_outside_of_what_is_calm_and_says_nothing_where_that_
     for values, urgent in (((0.0, 0.5), False), ((1.1, 0.2), True), ((1.0, -0.1), True), ((-1.0, 0.0), False)):
         sample = Sample({"observation_0": values[0], "observation_1": values[1]}, 0, 0, 0)
         assert task.urgent({"environment": sample}) is urgent
-    with pytest.raises(SpecError, match="give .lowest, highest"):
+    with pytest.raises(SpecError, match=r"give \[lowest"):
         EnvironmentTask(calm={"observation_0": (1.0, 0.0)})
     with pytest.raises(SpecError, match="no 'observation_7': did you mean"):
         EnvironmentTask(calm={"observation_7": (0.0, 1.0)}).bind({"environment": spec})
