@@ -10,12 +10,17 @@ from rtagent import Result, clock
 from rtagent.scenario import assemble, load
 
 HERE = Path(__file__).parent.parent / "scenarios"
+SCENARIOS = ["bento_stopping.toml", "mini_bento_stopping.toml"]
 QUICK = [
     "run.episodes=8",
     'devices.timer.after=["0.1s", "0.3s"]',
     "schedule.learn_delay=5ms",
     'devices.arm.joints.wrist_rotation.start="0deg"',
-    'watchdog.timeout="1s"',  # what is tested is not how quickly a shared machine lets a process run
+    # what is tested is not how quickly a shared machine lets a process run
+    'watchdog.timeout="2s"',
+    'devices.arm.silence="2s"',
+    'devices.arm.bus_watchdog="2s"',
+    'devices.arm.supervision.timeout="5s"',
 ]
 NORMAL, EMERGENCY = (0.0,), (1.0,)
 
@@ -32,8 +37,9 @@ def policy(result: Result) -> tuple[int, int]:
     return int(values[0].argmax()), int(values[1].argmax())
 
 
-def test_the_stopping_task_of_the_bento_arm_is_learned_under_the_virtual_clock() -> None:
-    result = run_on("process", "bento_stopping.toml", clock_name="virtual")
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_stopping_task_is_learned_under_the_virtual_clock(scenario: str) -> None:
+    result = run_on("process", scenario, clock_name="virtual")
     assert not result.not_safe
     assert not result.faults
     assert policy(result) == (0, 1)
@@ -41,7 +47,7 @@ def test_the_stopping_task_of_the_bento_arm_is_learned_under_the_virtual_clock()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["bento_stopping.toml"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_wire_and_process_come_to_the_same(scenario: str) -> None:
     wire, process = (run_on(fake, scenario) for fake in ("wire", "process"))
     assert (wire.not_safe, process.not_safe) == ([], [])
