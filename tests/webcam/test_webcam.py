@@ -33,9 +33,9 @@ from rtagent_drivers.webcam import Webcam, driver
 from rtagent_drivers.webcam.emulated import EmulatedKernel
 from rtagent_drivers.webcam.fakes import ClipCapture
 from rtagent_drivers.webcam.features import Region
+from rtagent_drivers.webcam.film import read_film
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
 from rtagent_drivers.webcam.pictures import Pixels, as_yuyv
-from rtagent_drivers.webcam.scenes import read_film
 from rtagent_drivers.webcam.settings import FakeCamera
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 

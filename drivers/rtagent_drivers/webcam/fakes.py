@@ -13,10 +13,10 @@ from rtagent.units import second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 from rtagent_drivers.webcam.driver import Webcam
 from rtagent_drivers.webcam.emulated import EmulatedKernel
-from rtagent_drivers.webcam.film import FilmDevice
+from rtagent_drivers.webcam.film import Film, FilmDevice, read_film
 from rtagent_drivers.webcam.opencv_camera import OpenCVCamera
 from rtagent_drivers.webcam.pictures import Pixels
-from rtagent_drivers.webcam.scenes import CameraWorld, Clip, Film, Scene, SceneClip, read_film
+from rtagent_drivers.webcam.scenes import CameraWorld, Clip, Scene, SceneClip
 from rtagent_drivers.webcam.settings import FakeCamera
 from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 

@@ -1,4 +1,4 @@
-"""What fake cameras see: objects that are brought to a hand and taken away, before a black wall; or a film.
+"""What fake cameras see: objects that are brought to a hand and taken away, before a black wall.
 
 The objects are those of Travnik's thesis (chapter 5): green and orange cylinders, plain or stepped, and the hand's
 thumb at the left of the picture.
@@ -8,20 +8,16 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from rtagent.errors import SpecError
 from rtagent.experience import Command, Stimulus, Values
-from rtagent.memory import claim
 from rtagent.specs import DeviceSpec
 from rtagent.units import ms, second
 from rtagent_drivers.webcam.features import Features
-from rtagent_drivers.webcam.pictures import RGB, YUYV, Colour, Layout, Pixels, as_yuyv, picture_of
+from rtagent_drivers.webcam.pictures import RGB, YUYV, Colour, Layout, Pixels, picture_of
 
 WALL: Colour = (8, 8, 8)
 THUMB: Colour = (150, 150, 160)
@@ -161,86 +157,3 @@ class CameraWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: it moves nothing."""
-
-
-class Film:
-    """Frames from a file, played again and again at their own times, `speed` times as fast.
-
-    `frames` have the shape (number, height, width, 3); `times` (s) increase.
-    """
-
-    def __init__(self, frames: Pixels, times: NDArray[np.float64], speed: float, name: str) -> None:
-        if not 0.0 < speed < float("inf"):
-            raise SpecError(f"speed is {speed}: give a number above 0.")
-        steps = np.diff(times)
-        if len(times) < 2 or not (np.isfinite(times).all() and (steps > 0).all()):
-            raise SpecError(f"{name}: a film has two frames or more, and times (s) that increase.")
-        self._frames = frames
-        self._times: list[int] = ((times - times[0]) / speed * second).round().astype(np.int64).tolist()
-        interval = round(float(np.median(steps)) / speed * second)
-        self._length: int = self._times[-1] + interval
-        self.rate = second / interval
-
-    def __len__(self) -> int:
-        """Return how many frames it has."""
-        return len(self._times)
-
-    def taken(self, number: int) -> int:
-        """Return when frame `number` is taken; after the last the first follows."""
-        rounds, place = divmod(number, len(self._times))
-        return rounds * self._length + self._times[place]
-
-    def number(self, time: int) -> int:
-        """Return the number of the newest frame at `time`; -1 before the first."""
-        rounds, rest = divmod(time, self._length)
-        return rounds * len(self._times) + bisect_right(self._times, rest) - 1 if time >= 0 else -1
-
-    def pixels(self, number: int) -> Pixels:
-        """Return frame `number`."""
-        frame: Pixels = self._frames[number % len(self._times)]
-        return frame
-
-    def yuyv(self, number: int) -> Pixels:
-        """Return frame `number`: shape (height, 2 · width)."""
-        return as_yuyv(self.pixels(number))
-
-
-def read_film(path: str, size: tuple[int, int], speed: float) -> Film:
-    """Read a film: npz with `frames` and `times` (s), or what OpenCV reads; frames are brought to `size`.
-
-    Raises `SpecError` where it cannot be read.
-    """
-    if not Path(path).is_file():
-        raise SpecError(f"there is no file {path}: give a film, an .npz of frames and times or a video.")
-    frames, times = _from_npz(path) if path.endswith(".npz") else _from_video(path)
-    width, height = size
-    claim(len(frames) * height * width * 3, "the frames of a film")
-    rows, columns = np.arange(height) * frames.shape[1] // height, np.arange(width) * frames.shape[2] // width
-    fits = frames.shape[1:3] == (height, width)
-    return Film(frames if fits else frames[:, rows[:, None], columns], times, speed, path)
-
-
-def _from_npz(path: str) -> tuple[Pixels, NDArray[np.float64]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            frames, times = np.asarray(file["frames"]), np.asarray(file["times"], np.float64)
-    except (OSError, ValueError, KeyError) as error:
-        raise SpecError(f"{path} is no film: it needs the arrays frames and times ({error}).") from error
-    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] != 3 or times.shape != frames.shape[:1]:
-        raise SpecError(f"{path}: frames are uint8 of shape (number, height, width, 3), times (number,).")
-    return frames, times
-
-
-def _from_video(path: str) -> tuple[Pixels, NDArray[np.float64]]:
-    try:
-        import cv2
-    except ImportError:
-        raise SpecError(f'{path} is no .npz; a video needs OpenCV: pip install "rtagent[webcam]".') from None
-    video, frames, times = cv2.VideoCapture(path), [], []
-    while video.grab():
-        times.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
-        frames.append(np.asarray(video.retrieve()[1], np.uint8)[:, :, ::-1])
-    video.release()
-    if not frames:
-        raise SpecError(f"{path} is no video that OpenCV can read.")
-    return np.array(frames), np.array(times)
