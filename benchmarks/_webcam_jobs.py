@@ -38,9 +38,9 @@ from rtagent_drivers.webcam.v4l2_camera import V4L2Camera
 
 RATE, PERIOD, LIMIT, SILENCE = 30.0, 10 * ms, 100 * ms, 500 * ms
 WIDTH, HEIGHT = 640, 480
-LENGTH = 12 * second
-HANGS = (2 * second, 5 * second, 8 * second)
-UNPLUGGED = ((3500 * ms, 4200 * ms), (6500 * ms, 7200 * ms), (9500 * ms, 10200 * ms))
+LENGTH = 15 * second
+HANGS = (2 * second, 5 * second, 8 * second, 11 * second)
+UNPLUGGED = ((3500 * ms, 4200 * ms), (6500 * ms, 7200 * ms), (9500 * ms, 10200 * ms), (12500 * ms, 13200 * ms))
 DIGITS = 3
 REGIONS = {f"digit_{place}": Region(200 * place, 0, 200, HEIGHT) for place in range(DIGITS)}
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -17,7 +19,7 @@ import pytest
 from rtagent import Agent, Limits, Plan, Schedule, clock, run
 from rtagent.clock import ClockName, RealClock
 from rtagent.device import Device
-from rtagent.errors import DeviceError, DisconnectedError, SpecError
+from rtagent.errors import ClockError, DeviceError, DisconnectedError, SpecError
 from rtagent.experience import Observation, Sample
 from rtagent.features import Binned
 from rtagent.instruments import Instrument
@@ -355,6 +357,27 @@ def test_a_camera_that_is_not_there_is_told() -> None:
             await Webcam(device="/dev/null").open()
 
     clock.run(use())
+
+
+@pytest.mark.parametrize("backend", ["v4l2", "opencv"])
+def test_a_virtual_clock_is_refused(backend: str) -> None:
+    with pytest.raises(ClockError, match="--fake=process"):
+        clock.run(wired(backend=backend).open(), "virtual")
+
+
+def test_a_camera_that_hangs_in_the_kernel_does_not_keep_a_program_from_ending() -> None:
+    program = """
+import asyncio, threading
+from rtagent import clock
+from rtagent_drivers.webcam import Webcam
+camera = Webcam.fakes["wire"]()
+camera.back_end.kernel.open = lambda path: threading.Event().wait()
+async def main():
+    await asyncio.wait_for(camera.open(), 0.05)
+clock.run(main())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stderr.rstrip().endswith("TimeoutError")
 
 
 def test_opening_that_is_given_up_leaves_nothing_open() -> None:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from rtagent.clock import current
 from rtagent.device import Device
-from rtagent.errors import DisconnectedError, SpecError
+from rtagent.errors import ClockError, DisconnectedError, SpecError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec
 from rtagent.units import Duration, Frequency, describe, second
@@ -66,6 +66,11 @@ class Webcam:
     async def open(self) -> None:
         """Begin to stream, and wait for the first frame; raise `DisconnectedError` where none comes."""
         self._clock, self._event = current(), asyncio.Event()
+        if self._clock.virtual:
+            raise ClockError(
+                "a webcam needs the real world, which does not wait for a virtual clock: run with --clock real, or "
+                "with --fake=process."
+            )
         self._first, self._sample = self._next, None
         try:
             await self.back_end.open(self._wanted, self.features, self._event.set)

@@ -23,6 +23,7 @@ from rtagent.units import ms, second
 from rtagent_drivers.webcam.features import Features
 from rtagent_drivers.webcam.pictures import BGR, picture_of
 from rtagent_drivers.webcam.shots import Dates, Shot, Wanted
+from rtagent_drivers.webcam.threads import tell
 
 LOOKED_AT = 1 * second
 """Frames are decoded until nobody has looked for so long."""
@@ -197,10 +198,8 @@ class _Grabber:
         self._tell(self._told)
 
     def _tell(self, callback: Callable[..., object], *arguments: object) -> None:
-        try:
-            self._loop.call_soon_threadsafe(callback, *arguments)
-        except RuntimeError:  # the loop was closed while this thread hung
-            self.stopped = True
+        if not tell(self._loop, callback, *arguments):
+            self.stopped = True  # the loop was closed while this thread hung
 
 
 def _settle(future: asyncio.Future[None], error: RtagentError | None = None) -> None:

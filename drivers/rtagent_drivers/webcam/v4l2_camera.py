@@ -6,7 +6,6 @@ import asyncio
 import sys
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 from rtagent.clock import current
 from rtagent.errors import DisconnectedError
@@ -16,6 +15,7 @@ from rtagent_drivers.webcam.jpeg import Decoder
 from rtagent_drivers.webcam.kernel import Kernel, LinuxKernel
 from rtagent_drivers.webcam.shots import Shot, Wanted
 from rtagent_drivers.webcam.stream import Stream
+from rtagent_drivers.webcam.threads import in_thread
 
 
 class V4L2Camera:
@@ -42,16 +42,14 @@ class V4L2Camera:
         """Begin to stream; `told` is called when there may be something new. Raises `DisconnectedError`."""
         self._loop, self._now = asyncio.get_running_loop(), current().now
         self._features, self._told, self._error = features, told, None
-        self._threads = ThreadPoolExecutor(1, "webcam")
         if self.kernel is None and sys.platform != "linux":
             raise DisconnectedError('the back end "v4l2" is that of Linux: set backend = "opencv".')
         kernel = self.kernel or LinuxKernel()
-        opening = self._loop.run_in_executor(self._threads, Stream, kernel, wanted, self.counters)
+        opening = in_thread(Stream, kernel, wanted, self.counters)
         try:
             self._stream = await asyncio.shield(opening)
         except BaseException:
             opening.add_done_callback(_discard)
-            self._threads.shutdown(wait=False)
             raise
         self._loop.add_reader(self._stream.file, self._ready)
 
@@ -71,8 +69,8 @@ class V4L2Camera:
         if self._decoder is None:
             return stream.newest, self._features(stream.picture())
         if self._decoding is None or self._decoding.done():
-            given = (self._decoder, self._features, stream.compressed(), stream.newest)
-            self._decoding = self._loop.run_in_executor(self._threads, _decoded, *given)
+            data, shot = stream.compressed(), stream.newest
+            self._decoding = in_thread(_decoded, self._decoder, self._features, data, shot)
         return await asyncio.shield(self._decoding)
 
     async def close(self) -> None:
@@ -81,10 +79,7 @@ class V4L2Camera:
         if stream is None:
             return
         self._loop.remove_reader(stream.file)
-        try:
-            await asyncio.shield(self._loop.run_in_executor(self._threads, stream.close))
-        finally:
-            self._threads.shutdown(wait=False)
+        await asyncio.shield(in_thread(stream.close))
 
     def _ready(self) -> None:
         self._drain(ready=True)
