@@ -66,6 +66,7 @@ class Guard:
     def stop(self, reason: str) -> None:
         """Trip the latch, make everything safe, have it stay so, and tell."""
         self._latch[0] = 1
+        _go_before_others(self._order["priority"])
         found = self.make_safe()
         for hardware in self._hardware:
             with contextlib.suppress(OSError):  # it is told below in any case
@@ -141,6 +142,11 @@ def _ask_for_time(order: dict[str, Any]) -> None:
     """Run on any processor, and before a loop that has a priority: where that is not allowed, as others do."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    if order["priority"]:
+        _go_before_others(order["priority"])
+
+
+def _go_before_others(priority: int) -> None:
+    """Take a real-time priority above that of the loop, where that is allowed."""
     with contextlib.suppress(OSError, AttributeError):
-        if order["priority"]:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(order["priority"] + 1, 99)))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
