@@ -66,7 +66,6 @@ class Guard:
     def stop(self, reason: str) -> None:
         """Trip the latch, make everything safe, have it stay so, and tell."""
         self._latch[0] = 1
-        _go_before_others(self._order["priority"])
         found = self.make_safe()
         for hardware in self._hardware:
             with contextlib.suppress(OSError):  # it is told below in any case
@@ -101,7 +100,7 @@ def main() -> None:
         return
     order = json.loads(first)
     sys.path += [place for place in order["path"] if place not in sys.path]
-    _ask_for_time(order)
+    _ask_for_time(order["priority"])
     guard = Guard(order)
     try:
         _watch(guard, inbox, order["timeout"] / 1e9, [*lines])
@@ -138,15 +137,9 @@ def _take(guard: Guard, resorts: dict[str, dict[str, Any]]) -> None:
         tell({"ready": True})
 
 
-def _ask_for_time(order: dict[str, Any]) -> None:
-    """Run on any processor, and before a loop that has a priority: where that is not allowed, as others do."""
+def _ask_for_time(priority: int) -> None:
+    """Run on any processor, and before a loop of this priority: where that is not allowed, as others do."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    if order["priority"]:
-        _go_before_others(order["priority"])
-
-
-def _go_before_others(priority: int) -> None:
-    """Take a real-time priority above that of the loop, where that is allowed."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
