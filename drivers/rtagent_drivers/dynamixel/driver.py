@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -19,10 +19,10 @@ from rtagent_drivers.dynamixel import opening
 from rtagent_drivers.dynamixel.bus import PATIENCE, Bus
 from rtagent_drivers.dynamixel.calibration import read_calibration
 from rtagent_drivers.dynamixel.codecs import codec
-from rtagent_drivers.dynamixel.faults import ALERT, is_grave, sentences
+from rtagent_drivers.dynamixel.faults import ALERT, VOLTAGE, is_grave, sentences
 from rtagent_drivers.dynamixel.limits import Reading
 from rtagent_drivers.dynamixel.orders import Order, reads_in_groups, switch, sync_writes
-from rtagent_drivers.dynamixel.packets import Status
+from rtagent_drivers.dynamixel.packets import Span, Status
 from rtagent_drivers.dynamixel.polling import Roster, Round
 from rtagent_drivers.dynamixel.safe_state import secure
 from rtagent_drivers.dynamixel.servo import Servo
@@ -33,8 +33,17 @@ SAFE_WITHIN = 1 * second
 START_SPEED = 0.5
 """rad/s, at most, on the way to the start pose."""
 
+LATELY = 100 * ms
+"""A joint that was read longer ago (and three rounds ago) may be elsewhere by now."""
+
 FIRST_READINGS = 1 * second
 """So long every joint has to be read for the first time."""
+
+SAY_AGAIN = 200 * ms
+"""So often the way to the start pose is said again."""
+
+TRIES = 4
+"""So often torque is switched on, and read back."""
 
 ARRIVED, AT_REST = 0.05, 0.1
 """A joint within so much (rad) of its start, and no faster than this (rad/s), has arrived."""
@@ -99,6 +108,7 @@ class Dynamixel:
         self._by_actuator = {servo.axis.actuator: servo for servo in self._servos}
         self._port, self._stop, self._silence, self._home_within = port, stop, silence, home_within
         self._return_delay = return_delay
+        self._lately = max(LATELY, round(3 * second / rate))
         able = any("bus_watchdog" in servo.model.registers for servo in self._servos)
         self.tolerates = bus_watchdog if able else 0
         """How long (ns) the servos tolerate to hear nothing (0: for ever)."""
@@ -120,7 +130,7 @@ class Dynamixel:
         self._fault: LimitError | None = None
         self._lost: DisconnectedError | None = None
         self._trouble: DeviceError | None = None
-        self._not_before = self._polling_since = self._asked_at = 0
+        self._not_before = self._asked_at = 0
 
     # Life
 
@@ -153,14 +163,14 @@ class Dynamixel:
         roster = self._roster()
         self._notes = opening.check_rate(bus, roster, self.spec.rate, latency, self._path)
         await opening.set_bus_watchdogs(bus, servos, self.tolerates)
-        self._polling_since = self._now()
         bus.poll(roster, round(second / self.spec.rate), self._hear, self._lose)
         await self._first_readings()
         await self._hold_what_is_on()
 
     async def _first_readings(self) -> None:
+        ends = self._now() + FIRST_READINGS
         while silent := [servo.axis.name for servo in self._servos if servo.reading is None]:
-            if self._now() - self._polling_since > FIRST_READINGS:
+            if self._now() > ends:
                 raise DeviceError(
                     f"{', '.join(silent)} cannot be read: check cables, and the firmware of the servos."
                 )
@@ -254,7 +264,7 @@ class Dynamixel:
 
     def _hear(self, round_: Round) -> None:
         """Make a sample of a round; the next one is on its way already."""
-        values, answered = dict(self._values), 0
+        values, answered, self._trouble = dict(self._values), 0, None
         for servo in self._servos:
             status = round_.statuses.get(servo.id)
             fresh = status is not None and len(status.parameters) == servo.span.length
@@ -266,10 +276,12 @@ class Dynamixel:
                 values.update(zip(servo.sensors, reading, strict=True))
                 self._hold_against_limits(servo, reading, round_.ended)
                 answered += 1
+            else:
+                servo.miss(round_.ended)
         self._note_stall(round_.sent)
         self._values = values
         self._incomplete += answered < len(self._servos)
-        self._trouble = self._silent(round_.ended)
+        self._trouble = self._trouble or self._silent(round_.ended)
         if answered and len(values) == len(self.spec.sensors) and round_.sent >= self._not_before:
             self._sequence += 1
             middle = (round_.sent + round_.ended) // 2
@@ -294,7 +306,11 @@ class Dynamixel:
         """Return an error where a joint has been silent for too long."""
         if not self._silence:
             return None
-        late = [servo for servo in self._servos if now - max(servo.read_at, self._polling_since) > self._silence]
+        late = [
+            servo
+            for servo in self._servos
+            if servo.silent_since is not None and now - servo.silent_since > self._silence
+        ]
         if not late:
             return None
         names = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in late)
@@ -309,7 +325,7 @@ class Dynamixel:
         if not is_grave(protocol, status.error):
             return
         if protocol == 1:
-            self._accuse(servo, sentences(1, status.error))
+            self._accuse(servo, status.error, 0)
         elif status.error & ALERT and self._examining is None:
             self._examining = asyncio.get_running_loop().create_task(self._examine(servo, status.error))
 
@@ -317,16 +333,21 @@ class Dynamixel:
         """Ask a servo of protocol 2.0 what is wrong with it."""
         try:
             found = await opening.read_register(self._bus, servo, "hardware_error")
-            self._accuse(servo, sentences(2, error & ALERT, found or 0))
+            self._accuse(servo, error & ALERT, found or 0)
         except DeviceError:
             pass  # the line has gone: that is told already
         finally:
             self._examining = None
 
-    def _accuse(self, servo: Servo, said: Iterable[str]) -> None:
-        if self._fault is None:
-            self._fault = LimitError(" ".join(f"{servo.axis.name} (id {servo.id}) {each}" for each in said))
-            self._wake()
+    def _accuse(self, servo: Servo, error: int, hardware_error: int) -> None:
+        """Note what is wrong with a servo: its voltage may be better next time, all else ends the run."""
+        said = sentences(servo.model.protocol, error, hardware_error)
+        sentence = " ".join(f"{servo.axis.name} (id {servo.id}) {each}" for each in said)
+        if said == [VOLTAGE]:
+            self._trouble = self._trouble or DeviceError(sentence)
+        elif self._fault is None:
+            self._fault = LimitError(sentence)
+        self._wake()
 
     def _lose(self, error: DisconnectedError) -> None:
         self._lost = error
@@ -338,7 +359,7 @@ class Dynamixel:
             raise DisconnectedError("the arm is closed: open it first.")
         wrong = self._fault or self._lost or self._trouble
         if wrong is not None:
-            raise wrong
+            raise wrong.with_traceback(None)  # it is raised again and again
 
     # Acting
 
@@ -361,7 +382,7 @@ class Dynamixel:
             raise DisconnectedError("the arm is closed: open it first.")
         wrong = self._fault or self._lost
         if wrong is not None:
-            raise wrong
+            raise wrong.with_traceback(None)  # it is raised again and again
 
     def _servo(self, actuator: str) -> Servo:
         if actuator not in self._by_actuator:
@@ -374,12 +395,26 @@ class Dynamixel:
         if not off:
             return
         now = self._now()
+        unseen = [servo.axis.name for servo in off if now - servo.read_at > self._lately]
+        if unseen:
+            raise DeviceError(f"{', '.join(unseen)} was not read lately, so that its torque is not switched on.")
         staying = {servo.id: servo.stay(now) for servo in off}
         on = {servo.id: switch(servo.model, on=True) for servo in off}
         requests = [*sync_writes(self._bus.codec, staying), *sync_writes(self._bus.codec, on)]
-        await self._bus.send("switch on " + ",".join(map(str, staying)), *requests)
-        for servo in off:
-            servo.on = True
+        for _ in range(TRIES):
+            await self._bus.send("switch on " + ",".join(map(str, staying)), *requests)
+            for servo in off:
+                servo.on = await self._has_torque(servo)
+            if all(servo.on for servo in off):
+                return
+        limp = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in off if not servo.on)
+        raise DeviceError(f"torque did not go on: {limp}. Look with `rtagent devices` whether it has shut down.")
+
+    async def _has_torque(self, servo: Servo) -> bool:
+        order = switch(servo.model, on=True)
+        read = self._bus.codec.read(Span(servo.id, order.address, len(order.data)))
+        status = (await self._bus.transact(read, {servo.id: len(order.data)})).get(servo.id)
+        return status is not None and status.parameters == order.data
 
     async def _order(self, key: str, orders: Mapping[int, Order]) -> bool:
         return await self._bus.send(key, *sync_writes(self._bus.codec, orders))
@@ -412,11 +447,15 @@ class Dynamixel:
         speeds = {servo: min(START_SPEED, servo.axis.max_velocity) for servo in goals}
         farthest = max(abs(_position(servo) - goal) / speeds[servo] for servo, goal in goals.items())
         ends = self._now() + (within or round((2 * farthest + 2) * second))
-        await self._order("pose", {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()})
+        orders = {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()}
+        said = 0
         while away := [servo for servo, goal in goals.items() if not _arrived(servo, goal)]:
             if self._now() > ends:
                 names = ", ".join(servo.axis.name for servo in away)
                 raise DeviceError(f"{names} did not get to the start pose: see what is in its way, and its load.")
+            if self._now() - said > SAY_AGAIN:  # nobody confirms it, and a packet can be lost
+                said = self._now()
+                await self._order("pose", orders)
             await self._next_round()
             self._check()
 
