@@ -191,7 +191,7 @@ def test_what_a_camera_has_not_is_refused_with_what_it_has(answers: dict[str, in
 @pytest.mark.parametrize(
     ("number", "sentence"),
     [
-        (errno.ENOENT, "plug it in, or name"),
+        (errno.ENOENT, "plug it in; this machine has"),
         (errno.EACCES, "usermod -aG video"),
         (errno.EBUSY, "end that first"),
         (errno.ENOSPC, "another port, or MJPG"),

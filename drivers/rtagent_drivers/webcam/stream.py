@@ -235,7 +235,7 @@ def explained(device: str, error: OSError) -> DisconnectedError:
     """Return what an error of a camera means, with its cure."""
     number = error.errno
     if number in (errno.ENOENT, errno.ENXIO):
-        return DisconnectedError(f"there is no camera {device}: plug it in, or name {_cameras()}.")
+        return DisconnectedError(f"there is no camera {device}: plug it in; {_cameras()}.")
     if number in (errno.EACCES, errno.EPERM):
         return DisconnectedError(f"you may not open {device}: run `sudo usermod -aG video $USER` and log in again.")
     if number == errno.EBUSY:
@@ -245,12 +245,12 @@ def explained(device: str, error: OSError) -> DisconnectedError:
     if number == errno.ENOSPC:
         return DisconnectedError(f"{device} finds no room on its USB bus: give it another port, or MJPG as format.")
     if number in (errno.ENOTTY, errno.EINVAL):
-        return DisconnectedError(f"{device} is no camera that streams ({error}): name {_cameras()}.")
+        return DisconnectedError(f"{device} is no camera that streams ({error}): name one; {_cameras()}.")
     return DisconnectedError(f"{device} has gone ({error}): plug it in again.")
 
 
 def _cameras() -> str:
-    """Return the cameras of this machine by names that stay the same, as far as they have one."""
+    """Say which cameras this machine has, by names that stay the same, as far as they have one."""
     by_id = [str(path) for path in sorted(Path("/dev/v4l/by-id").glob("*-index0"))]
     there = by_id or [str(path) for path in sorted(Path("/dev").glob("video*"))]
-    return " or ".join(there) or "another once there is one (this machine has none)"
+    return f"this machine has {' and '.join(there) or 'none'}"
