@@ -99,13 +99,13 @@ def run(use: Callable[[Emulated], Coroutine[Any, Any, list[Row]]], *arguments: s
 @contextlib.contextmanager
 def priority() -> Iterator[None]:
     """Run before other programs, the emulated arm too, where that is allowed: a true bus is nobody's program."""
-    before = os.sched_getscheduler(0)
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     try:
         yield
     finally:
-        os.sched_setscheduler(0, before, os.sched_param(0))
+        os.sched_setscheduler(0, *before)
 
 
 def bus_rows() -> list[Row]:
