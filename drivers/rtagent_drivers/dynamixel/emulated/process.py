@@ -22,6 +22,9 @@ SPIN = 50 * us
 
 STDIN = 0
 
+NICENESS = -10
+"""A device has a processor of its own: it waits for no other process, where the system grants that."""
+
 
 @dataclass(frozen=True)
 class Way:
@@ -42,6 +45,7 @@ class Emulator:
 
     def run(self, ready: Callable[[], None]) -> None:
         """Go on until the end; call `ready` once programs can open the link."""
+        _ask_for_priority()
         fine_timer_slack()
         with TimerfdSelector() as self._selector:
             self._listen_to_orders()
@@ -122,3 +126,8 @@ class Emulator:
     def _unplug(self) -> None:
         self._selector.unregister(self._terminal.fileno)
         self._terminal.unplug()
+
+
+def _ask_for_priority() -> None:
+    with contextlib.suppress(PermissionError):
+        os.nice(NICENESS)
