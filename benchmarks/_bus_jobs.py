@@ -31,7 +31,7 @@ from rtagent_drivers.dynamixel.settings import Joint, Mode, find_model
 from rtagent_drivers.dynamixel.timing import transaction
 
 BAUD = 1_000_000
-WINDOW, WINDOWS = 0.5, 12
+WINDOW, WINDOWS = 0.2, 30
 PACED = 50.0
 STOPS = 10
 
