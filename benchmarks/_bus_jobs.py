@@ -42,6 +42,7 @@ class Emulated:
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.port, self.log = str(folder / "arm"), folder / "log"
         command = [sys.executable, "-m", "rtagent_drivers.dynamixel.emulated.pty", "bento", "--link", self.port]
+        command += ["--linger", "0ms"]  # it ends with this process, however that ends
         pipe = subprocess.PIPE
         self._process = subprocess.Popen([*command, *arguments], stdin=pipe, stdout=pipe, text=True)
         self._out().readline()
