@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_check(commands)
     _add_list(commands)
+    _add_emulate(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
     doctor.add_argument("--json", action="store_true", help="print JSON instead")
     doctor.set_defaults(command=_doctor)
@@ -70,10 +71,17 @@ def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    groups = ("drivers", "tasks", "features", "learners", "policies", "schedules")
+    groups = ("drivers", "tasks", "features", "learners", "policies", "emulators", "schedules")
     listing = commands.add_parser("list", help="list what is installed, with one line each")
     listing.add_argument("group", choices=groups)
     listing.set_defaults(command=_list)
+
+
+def _add_emulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    emulate = commands.add_parser("emulate", help="stand in for hardware: servos on a pseudo-terminal")
+    emulate.add_argument("emulator", help="such as bento (see rtagent list emulators)")
+    emulate.add_argument("arguments", nargs=argparse.REMAINDER, help="its own (see rtagent emulate bento --help)")
+    emulate.set_defaults(command=_emulate)
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
@@ -122,6 +130,12 @@ def _list(arguments: argparse.Namespace) -> int:
     from rtagent.commands.listing import list_command
 
     return list_command(arguments)
+
+
+def _emulate(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.emulate import emulate_command
+
+    return emulate_command(arguments)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 
 from rtagent.errors import PluginError, did_you_mean
 
-GROUPS = ("drivers", "tasks", "features", "learners", "policies")
+GROUPS = ("drivers", "tasks", "features", "learners", "policies", "emulators")
 CONTEXT = frozenset({"state", "size", "active", "actions", "policy"})
 """What the runtime supplies: the task's state specs and number of actions, the coder's sizes, the policy."""
 
@@ -23,7 +23,7 @@ _registered: dict[tuple[str, str], Plugin] = {}
 
 
 def register(group: str, name: str, plugin: Plugin) -> None:
-    """Make a plug-in known in this process; `group` is one of drivers, tasks, features, learners, policies."""
+    """Make a plug-in known in this process; `group` is one of `GROUPS`."""
     if group not in GROUPS:
         raise PluginError(f"there is no group {group!r} of plug-ins: use one of {', '.join(GROUPS)}.")
     _registered[group, name] = plugin

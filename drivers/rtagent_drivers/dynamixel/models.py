@@ -1,59 +1,25 @@
-"""Control tables of Dynamixel servos, as data with their source."""
+"""The kinds of servos that are known, by name and by number."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping, Sequence
 
-Encoding = Literal["unsigned", "signed", "sign_magnitude"]
-Quantity = Literal["none", "position", "velocity", "load", "current", "pwm", "temperature", "voltage"]
-Mode = Literal["position", "velocity", "wheel", "torque"]
-"""How a joint is commanded: to an angle; at a speed towards a soft limit, where the servo ends by itself;
-at a speed without end; or with a fraction of its full torque (or current)."""
+from rtagent.errors import SpecError, did_you_mean
+from rtagent_drivers.dynamixel import tables_1, tables_2
+from rtagent_drivers.dynamixel.control_table import Encoding, Mode, Model, Quantity, Register
 
+__all__ = ["MODELS", "Encoding", "Mode", "Model", "Quantity", "Register", "by_name", "by_number"]
 
-@dataclass(frozen=True)
-class Register:
-    """A stretch of the control table: `size` bytes at `address`, little-endian.
-
-    One count is `scale` in SI units (rad, rad/s, fraction of the full load, °C, V), and `zero` counts are 0.
-    For `sign_magnitude` the highest of `bits` bits is the sign.
-    """
-
-    address: int
-    size: int
-    quantity: Quantity = "none"
-    scale: float = 1.0
-    zero: int = 0
-    encoding: Encoding = "unsigned"
-    bits: int = 0
-    writable: bool = False
-    eeprom: bool = False
-    initial: int = 0
-    low: int | None = None
-    high: int | None = None
+MODELS: Mapping[str, Model] = {model.name: model for model in (*tables_1.MODELS, *tables_2.MODELS)}
 
 
-@dataclass(frozen=True)
-class Model:
-    """A kind of servo: its number (what it says of itself), protocol, registers by name, and modes.
+def by_name(name: str) -> Model:
+    """Return the model of that name; raise `SpecError` where none is known."""
+    if name not in MODELS:
+        raise SpecError(f"no model {name!r} is known{did_you_mean(name, list(MODELS))}")
+    return MODELS[name]
 
-    `source` is where the table was published. Registers that mean the same have the same name in every model:
-    model_number, firmware_version, id, baud_rate, return_delay, status_return_level, torque_enable, led,
-    goal_position, goal_velocity, goal_torque, moving_speed (1.0) or profile_velocity (2.0), torque_limit,
-    present_position, present_velocity, present_load, present_voltage, present_temperature, moving, bus_watchdog,
-    hardware_error, operating_mode, cw_angle_limit, ccw_angle_limit, and so on.
-    """
 
-    name: str
-    number: int
-    protocol: int
-    source: str
-    registers: Mapping[str, Register]
-    modes: Mapping[Mode, Mapping[str, int]] = field(default_factory=dict)
-    """What is written, with torque off, to bring it into each mode that it has."""
-    stall_torque: float = 0.0
-    """N·m at its nominal voltage."""
-    top_speed: float = 0.0
-    """rad/s without load at its nominal voltage."""
+def by_number(number: int, protocol: int) -> Sequence[Model]:
+    """Return the models that call themselves by that number in that protocol: none where none is known."""
+    return [model for model in MODELS.values() if (model.number, model.protocol) == (number, protocol)]
