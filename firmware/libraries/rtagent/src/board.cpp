@@ -1,0 +1,131 @@
+#include "rtagent.h"
+
+namespace rtagent {
+
+namespace {
+
+const uint8_t Analog = 0x80;  // marks analog pins in a hello
+const uint32_t ShortestPeriod = 200;
+const uint8_t AdcCycles = 14;  // of its own clock for a conversion; 13 and the wait for the next one to begin
+const uint8_t ReadingCycles = 60;  // of the processor's, for what stands around a conversion
+
+bool is_analog(uint8_t pin) { return pin >= A0; }
+
+}  // namespace
+
+void Board::start() {
+  for (uint8_t i = 0; i < count_; i++) pinMode(channels_[i], is_analog(channels_[i]) ? INPUT : INPUT_PULLUP);
+  servos_.begin(servo_pins_, servo_count_);
+  configure(Settings());
+  say_hello(true);
+}
+
+void Board::configure(const Settings &settings) {
+  settings_ = settings;
+  if (settings_.period < ShortestPeriod) settings_.period = ShortestPeriod;
+  choose_adc_clock();
+  number_ = 0;
+  due_ = micros() + settings_.period;
+}
+
+// The slowest clock of the converter, which is the most exact, with which a scan takes half of the period at most.
+void Board::choose_adc_clock() {
+  uint8_t prescaler = 7;  // the processor's clock by 2 to the power of this
+  const uint32_t cycles = settings_.period / 2 * (F_CPU / 1000000) / count_;
+  while (prescaler > 4 && (uint32_t(AdcCycles) << prescaler) + ReadingCycles > cycles) prescaler--;
+  ADCSRA = (ADCSRA & ~7) | prescaler;
+}
+
+void Board::turn() {
+  hear();
+  watch_heartbeat();
+  if (int32_t(micros() - due_) >= 0) scan();
+}
+
+void Board::hear() {
+  while (Serial.available()) {
+    if (receiver_.take(Serial.read())) obey(receiver_);
+  }
+}
+
+void Board::obey(const Receiver &told) {
+  heard_ = millis();
+  if (told.type() == Ask) say_hello(false);
+  if (told.type() == Pulses) move(told);
+  if (told.type() == MakeSafe) make_safe(ToldTo);
+  if (told.type() == Configure && told.size() == 7) {
+    Settings settings;
+    settings.period = told.get32(0);
+    settings.heartbeat = told.get16(4);
+    settings.stop = told.get8(6);
+    configure(settings);
+    say_hello(false);
+  }
+}
+
+void Board::move(const Receiver &told) {
+  if (told.size() != 2 * servo_count_) return;
+  safety_ = Moving;
+  for (uint8_t i = 0; i < servo_count_; i++) {
+    uint16_t width = told.get16(2 * i);
+    if (width != Servos::Unchanged) servos_.pulse(i, width);
+  }
+}
+
+void Board::make_safe(Safety why) {
+  if (settings_.stop == Detach) servos_.detach();
+  safety_ = why;
+  say_state();
+}
+
+void Board::watch_heartbeat() {
+  if (safety_ == Moving && millis() - heard_ > settings_.heartbeat) make_safe(Unheard);
+}
+
+void Board::scan() {
+  uint16_t values[MostChannels];
+  uint32_t began = micros();
+  for (uint8_t i = 0; i < count_; i++) values[i] = measure(i);
+  Frame frame(Scan);
+  frame.put16(number_++);
+  frame.put32(began + (micros() - began) / 2);
+  for (uint8_t i = 0; i < count_; i++) frame.put16(values[i]);
+  frame.send(Serial);
+  due_ += settings_.period;
+  if (int32_t(micros() - due_) > int32_t(settings_.period)) due_ = micros();  // what was missed is not made up for
+}
+
+uint16_t Board::measure(uint8_t channel) const {
+  const uint8_t pin = channels_[channel];
+  return is_analog(pin) ? analogRead(pin) : digitalRead(pin);
+}
+
+void Board::say_hello(bool started) {
+  uint32_t began = micros();
+  for (uint8_t i = 0; i < count_; i++) measure(i);
+  const uint16_t takes = micros() - began;
+  Frame frame(Hello);
+  frame.put8(Version);
+  frame.put8(started);
+  frame.put32(settings_.period);
+  frame.put16(takes);
+  frame.put16(settings_.heartbeat);
+  frame.put8(settings_.stop);
+  frame.put8(count_);
+  for (uint8_t i = 0; i < count_; i++) {
+    frame.put8(is_analog(channels_[i]) ? Analog | (channels_[i] - A0) : channels_[i]);
+  }
+  frame.put8(servo_count_);
+  for (uint8_t i = 0; i < servo_count_; i++) frame.put8(servo_pins_[i]);
+  frame.send(Serial);
+}
+
+void Board::say_state() {
+  Frame frame(ServoState);
+  frame.put8(safety_);
+  frame.put16(receiver_.bad());
+  for (uint8_t i = 0; i < servo_count_; i++) frame.put16(servos_.width(i));
+  frame.send(Serial);
+}
+
+}  // namespace rtagent
