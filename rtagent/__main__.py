@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 DONE, FAULT, USAGE = 0, 1, 2
 
 EPILOG = (
-    "Exit codes: 0 done; 1 a fault in the run, something was not learned, or it was stopped by a signal "
-    "(devices were made safe); 2 bad scenario or usage."
+    "Exit codes: 0 done; 1 a fault in the run, something was not learned, or it was stopped "
+    "(devices were made safe); 2 bad scenario or usage, or hardware that is latched."
 )
 
 
@@ -37,7 +37,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_check(commands)
     _add_list(commands)
+    _add_stop(commands)
     _add_emulate(commands)
+    _add_devices(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
     doctor.add_argument("--json", action="store_true", help="print JSON instead")
     doctor.set_defaults(command=_doctor)
@@ -70,6 +72,17 @@ def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     check.set_defaults(command=_check)
 
 
+def _add_stop(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    for name, command, line in (
+        ("stop", _stop, "make the devices of scenarios safe, from any terminal, also after a crash"),
+        ("rearm", _rearm, "tell why the devices of scenarios are latched, and let them move again"),
+    ):
+        parser = commands.add_parser(name, help=line)
+        parser.add_argument("scenarios", nargs="+", metavar="scenario")
+        _add_set(parser)
+        parser.set_defaults(command=command)
+
+
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     groups = ("drivers", "tasks", "features", "learners", "policies", "emulators", "schedules")
     listing = commands.add_parser("list", help="list what is installed, with one line each")
@@ -82,6 +95,18 @@ def _add_emulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     emulate.add_argument("emulator", help="such as bento (see rtagent list emulators)")
     emulate.add_argument("arguments", nargs=argparse.REMAINDER, help="its own (see rtagent emulate bento --help)")
     emulate.set_defaults(command=_emulate)
+
+
+def _add_devices(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    devices = commands.add_parser(
+        "devices", help="what is plugged in, what answers there, and what is wrong with it"
+    )
+    devices.add_argument("--port", action="append", default=[], metavar="PATH", help="look there (may be repeated)")
+    devices.add_argument("--ids", type=_ids, metavar="IDS", help="on buses look for these only, such as 1-5,9")
+    devices.add_argument("--bauds", type=_bauds, metavar="RATES", help="at these rates, such as 1000000,57600")
+    devices.add_argument("--mend", action="store_true", help="set what can be set, such as return delays to 0")
+    devices.add_argument("--json", action="store_true", help="print JSON instead")
+    devices.set_defaults(command=_devices)
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
@@ -126,6 +151,18 @@ def _check(arguments: argparse.Namespace) -> int:
     return check_command(arguments)
 
 
+def _stop(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.stop import stop_command
+
+    return stop_command(arguments)
+
+
+def _rearm(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.stop import rearm_command
+
+    return rearm_command(arguments)
+
+
 def _list(arguments: argparse.Namespace) -> int:
     from rtagent.commands.listing import list_command
 
@@ -136,6 +173,24 @@ def _emulate(arguments: argparse.Namespace) -> int:
     from rtagent.commands.emulate import emulate_command
 
     return emulate_command(arguments)
+
+
+def _devices(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.devices import devices_command
+
+    return devices_command(arguments)
+
+
+def _ids(text: str) -> Sequence[int]:
+    from rtagent.commands.devices import ids
+
+    return ids(text)
+
+
+def _bauds(text: str) -> Sequence[int]:
+    from rtagent.commands.devices import bauds
+
+    return bauds(text)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

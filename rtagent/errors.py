@@ -41,6 +41,10 @@ class LimitError(DeviceError):
     """A limit was reached beyond which moving is not safe; the run is stopped at once, nothing is tried again."""
 
 
+class StoppedError(RtagentError):
+    """The run is stopped: nothing moves any more."""
+
+
 class PluginError(RtagentError, LookupError):
     """No plug-in of that name, or one that cannot be loaded."""
 

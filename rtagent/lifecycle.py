@@ -17,9 +17,11 @@ from rtagent.agent import Agent
 from rtagent.clock import current
 from rtagent.costs import Costs
 from rtagent.device import Device, Foreseeing
-from rtagent.errors import DeviceError, RtagentError, RunStuckError, ScheduleError
+from rtagent.errors import ClockError, DeviceError, LimitError, RtagentError, RunStuckError, ScheduleError
 from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
+from rtagent.latch import Latch
+from rtagent.protection import WATCHDOG, Protection, Watchdog
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import LEARNING, Result, RunError
 from rtagent.runtime import NO_HABITS, Habits, Limits, Runtime, agent_prologue
@@ -62,15 +64,19 @@ async def run(
     supervision: Mapping[str, Supervision] | None = None,
     instruments: Iterable[object] = (),
     habits: Habits = NO_HABITS,
+    latch: Latch | None = None,
+    watchdog: Watchdog = WATCHDOG,
 ) -> Result:
     """Run a whole plan under the clock of the running event loop, and return what it came to.
 
     `agent` is an agent, or what makes one from a random generator: each trial begins with a new one.
-    `costs` (virtual clock only) are what components cost. Raises `RunError`, which carries the result so far,
-    when a device died, something raised, or a signal came; `ScheduleError`, `SpecError` or `RunStuckError`
-    before anything is opened when the parts do not fit. In every case the devices have been made safe.
+    `costs` (virtual clock only) are what components cost. Tripping `latch` stops the run; `watchdog` is for runs
+    with guarded devices. Raises `RunError`, which carries the result so far, when the run was stopped, a device
+    died, or something raised; `ScheduleError`, `SpecError` or `RunStuckError` before anything is opened when the
+    parts do not fit, and `StoppedError` where hardware is latched. In every case the devices have been made safe.
     """
-    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision or {}, Hooks(instruments), habits)
+    supervision, hooks, latch = supervision or {}, Hooks(instruments), latch or Latch()
+    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision, hooks, habits, latch, watchdog)
     return await life.live()
 
 
@@ -100,6 +106,8 @@ class _Life:
         supervision: Mapping[str, Supervision],
         hooks: Hooks,
         habits: Habits,
+        latch: Latch,
+        watchdog: Watchdog,
     ) -> None:
         self._task, self._make_agent, self._schedule, self._plan = task, _maker(agent, plan), schedule, plan
         self._costs, self._hooks, self._habits = costs, hooks, habits
@@ -107,9 +115,20 @@ class _Life:
         self._guard = HangGuard(self._clock)
         self._recorder = Recorder()
         self._began = self._clock.now()
+        self._latch = latch
+        self._protection = Protection(devices, watchdog, latch, lambda said: self._report("watchdog", said))
+        if self._clock.virtual and self._protection.needed:
+            raise ClockError("hardware knows no virtual clock: run it under the real one, or take its fake.")
         self._devices = {
             name: SupervisedDevice(
-                name, device, supervision.get(name, Supervision()), self._clock, self._guard, self._report
+                name,
+                device,
+                supervision.get(name, Supervision()),
+                self._clock,
+                self._guard,
+                latch,
+                self._report,
+                self._protection.renew,
             )
             for name, device in devices.items()
         }
@@ -127,14 +146,16 @@ class _Life:
     async def live(self) -> Result:
         work = asyncio.ensure_future(self._work())
         try:
-            with _signals() as signalled:
-                end = await self._until_end(work, signalled)
+            with _signals(self._latch), _heard(self._latch) as stopped:
+                end = await self._until_end(work, stopped)
                 ended = self._clock.now()
-                await self._make_safe()
+                work.cancel()
+                await self._make_safe(end)
+                await asyncio.wait({work}, timeout=GIVE_UP_TIMEOUT / second)
                 await self._drain(end)
         except asyncio.CancelledError:
             work.cancel()
-            await self._make_safe()
+            await self._make_safe(_End("run", "the run was cancelled"))
             raise
         finally:
             self._guard.close()
@@ -145,8 +166,14 @@ class _Life:
     async def _work(self) -> None:
         for device in self._devices.values():
             await device.open()
-        for trial in range(self._plan.trials):
-            agent = self._make_agent(stream(self._plan.seed, "policy", trial)) if trial else self._first_agent
+        agents = self._make_agents()
+        if self._protection.needed:
+            agents = iter(list(agents))  # making one may keep the loop from its heartbeats
+            await self._protection.arm()
+            for device in self._devices.values():
+                await device.first_sample()
+            self._protection.begun = True
+        for trial, agent in enumerate(agents):
             self._agents.append(agent)
             runtime = self._running = self._runtime(agent, trial)
             for episode in range(self._plan.episodes):
@@ -155,6 +182,12 @@ class _Life:
             if trial < self._plan.trials - 1:
                 await runtime.drain(None)
 
+    def _make_agents(self) -> Iterator[Agent]:
+        """Make an agent for each trial, when it is asked for."""
+        yield self._first_agent
+        for trial in range(1, self._plan.trials):
+            yield self._make_agent(stream(self._plan.seed, "policy", trial))
+
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
         return Runtime(
             self._devices,
@@ -162,7 +195,6 @@ class _Life:
             agent,
             self._schedule,
             clock=self._clock,
-            guard=self._guard,
             recorder=self._recorder,
             hooks=self._hooks,
             costs=self._costs,
@@ -172,22 +204,25 @@ class _Life:
             habits=self._habits,
         )
 
-    async def _until_end(self, work: asyncio.Future[None], signalled: asyncio.Future[str]) -> _End | None:
-        """Wait for the work's own end, a signal, or a call that never returns."""
+    async def _until_end(self, work: asyncio.Future[None], stopped: asyncio.Future[None]) -> _End | None:
+        """Wait for the work's own end, a stop, a call that never returns, or the end of a suspension."""
         suspended = asyncio.ensure_future(self._until_suspended())
-        ends: set[asyncio.Future[Any]] = {work, signalled, self._guard.stuck, suspended}
+        ends: set[asyncio.Future[Any]] = {work, stopped, self._guard.stuck, suspended}
         await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         suspended.cancel()
-        if work.done() and not work.cancelled():
-            error = work.exception()
-            source = "device" if isinstance(error, DeviceError) else "run"
-            return None if error is None else _End(source, _sentence(error), error)
-        work.cancel()
-        await asyncio.wait({work}, timeout=GIVE_UP_TIMEOUT / second)
-        if signalled.done():
-            return _End("signal", f"the run was stopped by {signalled.result()}")
+        error = work.exception() if work.done() and not work.cancelled() else None
+        if isinstance(error, LimitError):
+            self._latch.trip("limit", str(error))
+        if self._latch.tripped:
+            return _End("stop", str(self._latch.error()), error)
+        if error is not None:
+            return _End("device" if isinstance(error, DeviceError) else "run", _sentence(error), error)
         if self._guard.stuck.done():
             return _End("device", f"{self._guard.stuck.result()} did not return, not even when it was cancelled")
+        if work.cancelled():
+            return _End("run", "the run was cancelled")
+        if work.done():
+            return None
         return _End("machine", "the machine was suspended, so that all that was known of the world is stale")
 
     async def _until_suspended(self) -> None:
@@ -198,9 +233,16 @@ class _Life:
         while self._clock.suspended() - before < SUSPENSION:  # noqa: ASYNC110  # the kernel sends no event
             await asyncio.sleep(SUSPENSION / second)
 
-    async def _make_safe(self) -> None:
+    async def _make_safe(self, end: _End | None) -> None:
+        """Make every device safe, those that fail by the watchdog; close them, and end their protection."""
         devices = list(self._devices.values())
-        self._not_safe = await make_all_safe(devices) + await close_all(devices)
+        failed = await make_all_safe(devices)
+        self._not_safe = await self._protection.save(failed)
+        for sentence in failed.values():
+            if sentence not in self._not_safe:
+                self._report("stop", f"{sentence} The watchdog made it safe.")
+        self._not_safe += await close_all(devices)
+        await self._protection.end(end.message if end else " ".join(self._not_safe))
 
     async def _drain(self, end: _End | None) -> None:
         """Learn what is still in the queue: all on a normal end, else for a bounded time."""
@@ -276,24 +318,36 @@ def refuse_stuck(devices: Mapping[str, Device], schedule: Schedule, costs: Costs
 
 
 @contextlib.contextmanager
-def _signals() -> Iterator[asyncio.Future[str]]:
-    """Turn SIGINT and SIGTERM into a future; only the main thread may, elsewhere it is never done."""
+def _heard(latch: Latch) -> Iterator[asyncio.Future[None]]:
+    """Give a future that is done once the latch is tripped."""
     loop = asyncio.get_running_loop()
-    signalled: asyncio.Future[str] = loop.create_future()
+    stopped: asyncio.Future[None] = loop.create_future()
 
-    def arrived(name: str) -> None:
-        if not signalled.done():
-            signalled.set_result(name)
+    def stop() -> None:
+        if not stopped.done():
+            stopped.set_result(None)
+
+    def hear() -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has just been closed
+            loop.call_soon_threadsafe(stop)
+
+    with latch.heard_by(hear):
+        yield stopped
+
+
+@contextlib.contextmanager
+def _signals(latch: Latch) -> Iterator[None]:
+    """Have SIGINT and SIGTERM trip the latch; only in the main thread can they."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
 
     def handle(number: int, frame: object) -> None:
-        loop.call_soon_threadsafe(arrived, signal.Signals(number).name)
+        latch.trip("signal", signal.Signals(number).name)
 
-    if threading.current_thread() is not threading.main_thread():
-        yield signalled
-        return
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield signalled
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -14,10 +14,9 @@ from rtagent.agent import Agent
 from rtagent.backlog import Backlog, Desk, make_work, yield_once
 from rtagent.clock import Clock
 from rtagent.costs import Costs
-from rtagent.device import Episodic
 from rtagent.errors import ScheduleError
 from rtagent.experience import Outcome, Transition
-from rtagent.guard import NEVER, HangGuard
+from rtagent.guard import NEVER
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
 from rtagent.learn import Where
@@ -28,11 +27,7 @@ from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Order, Sche
 from rtagent.senses import Senses
 from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
-from rtagent.units import second
 from rtagent.urgency import Urgency
-
-BEGIN_TIMEOUT = 60 * second
-"""Going to the start of an episode may be a slow move of a real arm."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +84,6 @@ class Runtime:
         schedule: Schedule,
         *,
         clock: Clock,
-        guard: HangGuard,
         recorder: Recorder,
         hooks: Hooks,
         costs: Costs,
@@ -100,7 +94,7 @@ class Runtime:
     ) -> None:
         self._devices, self._calm = devices, habits.calm
         self._task, self._agent, self._schedule = task, agent, schedule
-        self._clock, self._now, self._guard = clock, clock.now, guard
+        self._clock, self._now = clock, clock.now
         self._recorder, self._hooks, self._limits = recorder, hooks, limits
         self._heard = hooks.heard
         self._costs, self._costs_rng = (costs if clock.virtual else {}), costs_rng
@@ -186,10 +180,7 @@ class Runtime:
 
     async def _begin(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> None:
         for device in self._devices.values():
-            device.stop_watching()
-            if isinstance(device.device, Episodic):
-                begun = device.device.begin_episode(rngs[device.name])
-                await self._guard.bound(begun, BEGIN_TIMEOUT, f"{device.name}.begin_episode")
+            await device.go_to_start(rngs[device.name])
         now = self._now()
         for device in self._devices.values():
             device.begin_episode(now)

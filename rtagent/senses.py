@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from rtagent.clock import Clock
-from rtagent.errors import DeviceError
 from rtagent.experience import Observation, Sample, Stimulus
 from rtagent.recorder import Recorder
 from rtagent.schedule import Schedule, Wait
 from rtagent.supervision import NO_STIMULI, SupervisedDevice
-from rtagent.units import describe, second
+from rtagent.units import second
 
 NOTHING: frozenset[str] = frozenset()
 
@@ -46,7 +45,7 @@ class Senses:
             await self._read_all()
         samples: dict[str, Sample] = {}
         for device in self._devices:
-            samples[device.name] = device.sample or await self._first_sample(device)
+            samples[device.name] = device.sample or await device.first_sample()
         now = self._now()
         for sample in samples.values():
             self._record_age(now - sample.world_time)
@@ -86,19 +85,6 @@ class Senses:
             return False
         self._recorder.counters["observe_timeouts"] += 1
         return True
-
-    async def _first_sample(self, device: SupervisedDevice) -> Sample:
-        """Wait for a device's first valid sample: nothing is chosen, and nothing moves, before it."""
-        deadline = self._clock.now() + device.supervision.timeout
-        while device.sample is None:
-            left = deadline - self._clock.now()
-            if left <= 0:
-                raise DeviceError(
-                    f"device {device.name!r} gave no valid sample within {describe(device.supervision.timeout)} "
-                    "of the beginning of an episode: check its connection, or give it a longer timeout."
-                )
-            await device.wait(left)
-        return device.sample
 
     # What learning asks, so that it can leave off
 

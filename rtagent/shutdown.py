@@ -15,10 +15,11 @@ SAFE_WITHIN = 1 * second
 Call = Callable[[SupervisedDevice], Awaitable[None]]
 
 
-async def make_all_safe(devices: Sequence[SupervisedDevice]) -> list[str]:
-    """Make every device safe, all at once, each within its time; return a sentence for each that failed."""
-    calls = (_attempt(device, _make_safe, safe_within(device.device), "made safe") for device in devices)
-    return [sentence for sentence in await asyncio.gather(*calls) if sentence]
+async def make_all_safe(devices: Sequence[SupervisedDevice]) -> dict[str, str]:
+    """Make every device safe, all at once, each within its time; return, by name, a sentence for each failure."""
+    calls = [_attempt(device, _make_safe, safe_within(device.device), "made safe") for device in devices]
+    found = zip(devices, await asyncio.gather(*calls), strict=True)
+    return {device.name: sentence for device, sentence in found if sentence}
 
 
 async def close_all(devices: Sequence[SupervisedDevice]) -> list[str]:

@@ -8,21 +8,25 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from numpy.random import Generator
+
 from rtagent.clock import Clock
-from rtagent.device import Counting, Device, Foreseeing, Stimulating
+from rtagent.device import Counting, Device, Episodic, Foreseeing, Stimulating
 from rtagent.errors import DeviceError, DisconnectedError, LimitError
 from rtagent.events import Event, Flags
-from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.experience import Command, Sample, Stimulus
 from rtagent.guard import HangGuard
-from rtagent.specs import DeviceSpec, Spec
+from rtagent.health import FIRST_PAUSE, LONGEST_PAUSE, Health, Validity
+from rtagent.latch import Latch
+from rtagent.specs import DeviceSpec
 from rtagent.units import describe, ms, second
 
-FIRST_PAUSE = 1 * ms
-LONGEST_PAUSE = 50 * ms
 OPEN_TIMEOUT = 10 * second
+BEGIN_TIMEOUT = 60 * second
+"""Going to the start of an episode may be a slow move of a real arm."""
 JUST_NOW = 1 * ms
 """A sample that arrived no longer ago is the newest, or the next follows at once."""
 NO_STIMULI: Sequence[Stimulus] = ()
@@ -50,30 +54,6 @@ class DeadDeviceError(DeviceError):
     """A device failed for longer than its retry budget."""
 
 
-class _Health:
-    """How one kind of call of a device fares: since when it fails (None: it works), and when to try it again."""
-
-    def __init__(self, timeout: int) -> None:
-        self._timeout = timeout
-        self.failing_since: int | None = None
-        self.retry_at = 0
-        self._pause = FIRST_PAUSE
-        self.last_error = ""
-
-    def failed(self, now: int, error: str, hung: bool) -> None:
-        """Note a failure; a call that hung has used up the budget."""
-        if self.failing_since is None:
-            self.failing_since = now - (self._timeout if hung else 0)
-            self._pause = FIRST_PAUSE
-        self.last_error = error
-        self.retry_at = now + self._pause
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
-
-    def spent(self, now: int) -> int:
-        """Return how long (ns) it has been failing."""
-        return 0 if self.failing_since is None else now - self.failing_since
-
-
 class SupervisedDevice:
     """A device with its newest valid sample, its counters, and its health."""
 
@@ -84,19 +64,22 @@ class SupervisedDevice:
         supervision: Supervision,
         clock: Clock,
         guard: HangGuard,
+        latch: Latch,
         report: Callable[[str, str], None],
+        reopened: Callable[[], Awaitable[None]],
     ) -> None:
         self.name, self.device, self.supervision = name, device, supervision
         self._clock, self._guard, self._report = clock, guard, report
+        self._reopened = reopened
         self._reading, self._acting = f"{name}.read", f"{name}.act"
-        sensors = device.spec.sensors.items()
-        self._ranges = [(sensor, spec.low, spec.high) for sensor, spec in sensors if _plain(spec)]
-        self._others = [(sensor, spec) for sensor, spec in sensors if not _plain(spec)]
+        self._latch, self._stopped = latch, latch.memory
+        validity = Validity(device.spec)
+        self._valid, self._why_invalid = validity.holds, validity.why_not
         self._flags = Flags(supervision.events, device.spec) if supervision.events else None
         self._stimulating = device if isinstance(device, Stimulating) else None
         self._foreseeing = device if isinstance(device, Foreseeing) else None
         self._counts: Counter[str] = Counter()
-        self._reads, self._acts = _Health(supervision.timeout), _Health(supervision.timeout)
+        self._reads, self._acts = Health(supervision.timeout), Health(supervision.timeout)
         self._troubled = False
         self._reopening: asyncio.Task[None] | None = None
         self.sample: Sample | None = None
@@ -122,9 +105,15 @@ class SupervisedDevice:
         """Open the device; raises what it raises, or TimeoutError."""
         await self._guard.bound(self.device.open(), OPEN_TIMEOUT, f"{self.name}.open")
 
+    async def go_to_start(self, rng: Generator) -> None:
+        """Bring it to the start of an episode; raise `StoppedError` once the run is stopped."""
+        self.stop_watching()
+        if isinstance(self.device, Episodic):
+            self._latch.check()
+            await self._guard.bound(self.device.begin_episode(rng), BEGIN_TIMEOUT, f"{self.name}.begin_episode")
+
     def begin_episode(self, time: int) -> None:
         """Forget the samples of before `time`, when the device was brought to the start of an episode."""
-        self.stop_watching()
         self.sample = self._observed = None
         self.sequence = self._seen = -1
         self._stimuli_until = time - 1
@@ -150,6 +139,19 @@ class SupervisedDevice:
         if self._troubled:
             self._recovered(reads)
         return self._accept(sample)
+
+    async def first_sample(self) -> Sample:
+        """Wait for the first valid sample: nothing is chosen, and nothing moves, before it."""
+        deadline = self._clock.now() + self.supervision.timeout
+        while self.sample is None:
+            left = deadline - self._clock.now()
+            if left <= 0:
+                raise DeviceError(
+                    f"device {self.name!r} gave no valid sample within {describe(self.supervision.timeout)}, "
+                    "and nothing moves before it: check its connection, or give it a longer timeout."
+                )
+            await self.wait(left)
+        return self.sample
 
     # Watching: a reading that waits for the next sample while something else is done
 
@@ -278,7 +280,12 @@ class SupervisedDevice:
         return self._reads.failing_since is not None
 
     async def act(self, command: Command) -> Command | None:
-        """Send a command; return what was sent, or None where it could not be (counted)."""
+        """Send a command; return what was sent, or None where it could not be (counted).
+
+        Raises `StoppedError` once the run is stopped.
+        """
+        if self._stopped[0]:
+            raise self._latch.error()
         acts = self._acts
         if not self._troubled or self._may_call(acts):
             self._guard.arm(self._budget(acts), self._acting)
@@ -339,14 +346,14 @@ class SupervisedDevice:
         own = self.device.counters if isinstance(self.device, Counting) else {}
         return {name: count for name, count in (Counter(own) + self._counts).items() if count}
 
-    def _budget(self, calls: _Health) -> int:
+    def _budget(self, calls: Health) -> int:
         """Return how long (ns) a call may take: what is left of the retry budget."""
         timeout = self.supervision.timeout
         if calls.failing_since is None:
             return timeout
         return max(timeout - calls.spent(self._clock.now()), FIRST_PAUSE)
 
-    def _may_call(self, calls: _Health) -> bool:
+    def _may_call(self, calls: Health) -> bool:
         """Say whether such a call may be made; raise `DeadDeviceError` where either kind has used up its budget."""
         now = self._clock.now()
         for each in (self._reads, self._acts):
@@ -364,11 +371,11 @@ class SupervisedDevice:
         self._counts["retries"] += 1
         return True
 
-    def _recovered(self, calls: _Health) -> None:
+    def _recovered(self, calls: Health) -> None:
         calls.failing_since = None
         self._troubled = any(each.failing_since is not None for each in (self._reads, self._acts))
 
-    def _failed(self, verb: str, calls: _Health, error: Exception) -> None:
+    def _failed(self, verb: str, calls: Health, error: Exception) -> None:
         said = f"{verb} raised {error!r}"
         self._counts[f"{verb}_errors"] += 1
         self._report(self.name, said)
@@ -387,6 +394,7 @@ class SupervisedDevice:
             with contextlib.suppress(Exception):
                 await self.device.close()
                 await self.device.open()
+                await self._reopened()
                 self._counts["reopened"] += 1
                 return
 
@@ -400,26 +408,3 @@ class SupervisedDevice:
             return False
         self.sample = sample if self._flags is None else self._flags(sample)
         return True
-
-    def _valid(self, values: Values) -> bool:
-        try:
-            for name, low, high in self._ranges:
-                if not low <= values[name] <= high:  # NaN fails too
-                    return False
-            return not self._others or self._others_valid(values)
-        except (KeyError, TypeError, ValueError):
-            return False
-
-    def _others_valid(self, values: Values) -> bool:
-        return all(spec.problem(values[name]) is None for name, spec in self._others)
-
-    def _why_invalid(self, values: Values) -> str:
-        for name, spec in self.device.spec.sensors.items():
-            problem = spec.problem(values[name]) if name in values else "it is not in the sample"
-            if problem is not None:
-                return f"a sample was not usable, sensor {name!r}: {problem}; expected {spec}"
-        return "a sample was not usable"
-
-
-def _plain(spec: Spec) -> bool:
-    return spec.shape == () and spec.dtype != "int"

@@ -10,6 +10,7 @@ class TestMyDevice(DeviceContract):
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Callable, Coroutine
 from math import isinf
 from typing import Any
@@ -18,10 +19,11 @@ import numpy as np
 
 from rtagent import clock
 from rtagent.clock import ClockName
-from rtagent.device import Device, Episodic, Foreseeing, Stimulating
+from rtagent.device import Device, Episodic, Foreseeing, Guarded, Stimulating
 from rtagent.errors import DeviceError, RtagentError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec, Spec
+from rtagent.watchdog.resorts import Resort
 
 FUTURE = 50_000_000
 """Stamps of a kernel or a device may lie this much (ns) in the future."""
@@ -272,6 +274,30 @@ class DeviceContract:
                 must(event is None or event > now, f"next_event({now}) returned {event}, which is not ahead.")
 
         self._with_open_device(check)
+
+    def test_it_can_be_made_safe_without_its_driver(self) -> None:
+        """The last resort of a guarded device works beside its driver, and leaves it usable."""
+
+        async def check(device: Device) -> None:
+            if not isinstance(device, Guarded):
+                return
+            must(isinstance(device.last_resort.hardware, str), "last_resort.hardware must be a name, or empty.")
+            settings = json.loads(json.dumps(dict(device.last_resort.settings)))
+            resort = Resort("device", device.last_resort.function, settings)
+            for _ in range(2):
+                not_safe = await asyncio.to_thread(resort.make_safe)
+                must(not not_safe, f"its last resort could not make it safe: {' '.join(not_safe)}")
+            resort.close()
+            _check_sample(device, await device.read(-1))
+
+        self._with_open_device(check)
+
+    def test_its_times_are_in_nanoseconds(self) -> None:
+        """`safe_within` and `tolerates`, where it has them, are whole numbers of nanoseconds."""
+        device = self.make_device()
+        for name in ("safe_within", "tolerates"):
+            value = getattr(device, name, 0)
+            must(isinstance(value, int) and value >= 0, f"{name} is {value!r}: it must be an int (ns), 0 or more.")
 
     def _with_open_device(self, check: Callable[[Device], Coroutine[Any, Any, None]]) -> None:
         async def opened(device: Device) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
+from math import inf
 
 import pytest
 
 from rtagent.clock import ClockName
-from rtagent.device import Device
+from rtagent.device import Device, LastResort
 from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample
 from rtagent.specs import DeviceSpec, Spec
@@ -173,6 +175,23 @@ class Hangs(Good):
         return self.sample()
 
 
+class RestlessEvent(Good):
+    spec = replace(Good.spec, rate=inf)
+    looks = 0
+
+    def sample(self) -> Sample:
+        self.looks += 1
+        return super().sample()._replace(world_time=self.looks)
+
+
+class CannotBeReached(Good):
+    last_resort = LastResort("guarded:missing", {}, "")
+
+
+class CountsInSeconds(Good):
+    safe_within = 1.5
+
+
 def test_a_device_that_keeps_the_contract_passes() -> None:
     for check in CHECKS:
         getattr(contract(Good), check)()
@@ -194,6 +213,9 @@ def test_a_device_that_keeps_the_contract_passes() -> None:
         (ReturnsNothing, "act_returns_what_was_sent", "return what was sent"),
         (UnsafeBeforeOpen, "it_can_be_made_safe_at_any_time", "no port"),
         (ReadsWhenClosed, "it_can_be_closed_twice_and_opened_again", "a closed device was read"),
+        (RestlessEvent, "an_event_device_tells_its_state_at_once", "another time under the same number"),
+        (CannotBeReached, "it_can_be_made_safe_without_its_driver", "could not make it safe"),
+        (CountsInSeconds, "its_times_are_in_nanoseconds", "safe_within is 1.5"),
         (Hangs, "a_sample_has_every_sensor_and_fits_its_spec", "did not answer within"),
     ],
 )

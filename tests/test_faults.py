@@ -336,7 +336,7 @@ def test_a_signal_stops_a_run_safely(number: signal.Signals, tmp_path: Path) -> 
         stdout, stderr = process.communicate(timeout=20)
     assert process.returncode == 1
     assert "made safe" in stdout
-    assert f"the run was stopped by {number.name}" in stderr
+    assert f"stopped by signal: {number.name}" in stderr
     assert "All devices were made safe" in stderr
     assert '"fatal": true' in out.read_text(), "the results so far are kept"
 

@@ -585,7 +585,7 @@ def test_a_signal_ends_a_run_on_uvloop_safely() -> None:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)
     assert process.returncode == 1
-    assert "the run was stopped by SIGINT" in err
+    assert "stopped by signal: SIGINT" in err
     assert "All devices were made safe." in err
 
 

@@ -11,7 +11,7 @@ import grp
 import os
 import re
 import termios
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -50,6 +50,10 @@ class Line(Protocol):
 
     async def close(self) -> None:
         """Drop what was not sent, and return when the port is closed: only then can it be opened again."""
+
+
+Connect = Callable[[str, int, Receiver], Awaitable[Line]]
+"""What opens a line: see `connect`."""
 
 
 async def connect(port: str, baud: int, receiver: Receiver) -> Line:
@@ -230,7 +234,7 @@ def holders(path: str) -> Sequence[str]:
     return [
         f"{_name(process)} (process {process.name})"
         for process in Path("/proc").glob("[0-9]*")
-        if process.name != str(os.getpid()) and real in _open_files(process)
+        if real in _open_files(process)
     ]
 
 

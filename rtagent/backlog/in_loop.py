@@ -83,6 +83,7 @@ class Inline:
             while not backlog.step(update):
                 pass
             backlog.end(update, DEFERRED)
+            await yield_once()
         backlog.count(IN_PLACE, self._in_place)
         backlog.leave(len(backlog))
 

@@ -10,10 +10,11 @@ from dataclasses import asdict
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from rtagent.commands.findings import Finding, findings
+from rtagent.commands.findings import findings
+from rtagent.commands.telling import tell
+from rtagent.finding import Finding
 from rtagent.latency import measure
 from rtagent.realtime import Realtime, manners
 from rtagent.summary import Summary
@@ -82,12 +83,7 @@ def _as_dict(found: Sequence[Finding], latencies: Latencies) -> dict[str, Any]:
 
 def _print(found: Sequence[Finding], latencies: Latencies) -> None:
     console = Console(file=sys.stdout, highlight=False, soft_wrap=True)
-    width = max(len(finding.name) for finding in found)
-    for finding in found:
-        console.print(f"[bold]{finding.name:<{width}}[/bold]  {escape(finding.value)}")
-        if finding.problem:
-            console.print(f"{'':<{width}}  [yellow]problem:[/yellow] {escape(finding.problem)}")
-            console.print(f"{'':<{width}}  [green]cure:[/green] {escape(finding.cure)}")
+    tell(console, found)
     if latencies:
         console.print()
         console.print(_table(latencies))

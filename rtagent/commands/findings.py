@@ -11,11 +11,11 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtagent import __version__, kernels, plugins
 from rtagent.errors import PluginError
+from rtagent.finding import Finding
 from rtagent.memory import available_memory, describe_size
 from rtagent.realtime import machine
 from rtagent.units import describe
@@ -25,21 +25,6 @@ SERIAL_GROUPS = ("dialout", "uucp")
 SERIAL_PORTS = ("/dev/ttyUSB*", "/dev/ttyACM*", "/dev/serial/by-id/*")
 CPU = Path("/sys/devices/system/cpu")
 KERNEL = Path("/proc/sys/kernel")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing found; `essential`: with its problem rtagent cannot be relied upon to run."""
-
-    name: str
-    value: str
-    problem: str = ""
-    cure: str = ""
-    essential: bool = False
-
-    def but(self, wrong: object, problem: str, cure: str) -> Finding:
-        """Return this finding, with a problem and its cure where something is wrong."""
-        return replace(self, problem=problem, cure=cure) if wrong else self
 
 
 def findings() -> Iterator[Finding]:

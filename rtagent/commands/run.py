@@ -5,16 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
 from rtagent.errors import RtagentError, ScenarioError
+from rtagent.latch import Latch
 from rtagent.realtime import Manners, manners
-from rtagent.result import RunError
+from rtagent.result import Result, RunError
 from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
 
@@ -37,9 +38,11 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
     told = _tell_refused(granted.refused)
     result, failure = None, None
+    latch = Latch()
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        result = granted.run(assembly.run([progress] if progress else [], habits))
+        run = assembly.run([progress] if progress else [], habits, latch)
+        result = granted.run(_with_keyboard(run, latch, out) if assembly.guarded else run)
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:
@@ -55,6 +58,12 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
     return 0 if failure is None and not result.not_safe and result.learned_all else 1
+
+
+async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO) -> Result:
+    from rtagent.commands.keyboard import with_keyboard  # needs what not every system that can run fakes has
+
+    return await with_keyboard(run, latch, out)
 
 
 def _tell_refused(sentences: Sequence[str]) -> int:

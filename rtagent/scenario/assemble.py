@@ -12,21 +12,24 @@ from numpy.random import Generator
 from rtagent import plugins
 from rtagent.agent import Agent
 from rtagent.costs import Cost, Costs
-from rtagent.device import Device, Finite
+from rtagent.device import Device, Finite, Guarded
 from rtagent.errors import RtagentError, ScenarioError, SpecError
 from rtagent.features import Composed, FeatureCoder, Inputs, PairedCoder
 from rtagent.features.inputs import matching
+from rtagent.latch import Latch
 from rtagent.learn import Condition
 from rtagent.learning import Horde, WithHorde
 from rtagent.lifecycle import Plan, refuse_stuck, run
 from rtagent.memory import available_memory, describe_size, ledger
 from rtagent.policy import Policy
+from rtagent.protection import Watchdog
 from rtagent.realtime import Realtime
 from rtagent.result import Result
 from rtagent.runtime import NO_HABITS, Habits, Limits, agent_prologue
 from rtagent.scenario.devices import build_device
 from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.model import InputTable
+from rtagent.scenario.patience import check_tolerance, check_watchdog
 from rtagent.scenario.source import KeyPath
 from rtagent.schedule import Component, Order, Schedule
 from rtagent.specs import Spec
@@ -53,6 +56,7 @@ class Assembly:
     memory: dict[str, int]
     """Bytes that an agent takes, by what they are for."""
     realtime: Realtime
+    watchdog: Watchdog
 
     @property
     def never_sleeps(self) -> bool:
@@ -60,7 +64,14 @@ class Assembly:
         sampled = all(device.spec.rate for device in self.devices.values())
         return not (self.schedule.period or (sampled and self.schedule.observe == "fresh"))
 
-    async def run(self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS) -> Result:
+    @property
+    def guarded(self) -> bool:
+        """Whether it moves something real, or what is emulated on the wire."""
+        return any(isinstance(device, Guarded) for device in self.devices.values())
+
+    async def run(
+        self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS, latch: Latch | None = None
+    ) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
         return await run(
             self.devices,
@@ -72,6 +83,8 @@ class Assembly:
             supervision=self.supervision,
             instruments=instruments,
             habits=habits,
+            latch=latch,
+            watchdog=self.watchdog,
         )
 
 
@@ -126,13 +139,28 @@ def assemble(scenario: Scenario) -> Assembly:
             problems.attempt(_learn_path(scenario), check)
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
     problems.attempt(("run", "trials"), lambda: _refuse_trials(plan.trials, sum(memory.values())))
+    if schedule is not None:
+        _check_patience(problems, scenario, devices, schedule)
     if schedule is not None and scenario.model.run.clock == "virtual" and complete:
         problems.attempt(("run", "clock"), partial(refuse_stuck, devices, schedule, costs, plan))
     if problems.sentences or task is None or make_agent is None or schedule is None:
         raise ScenarioError(problems.sentences)
+    realtime, watchdog = _realtime(scenario), _watchdog(scenario)
     return Assembly(
-        devices, task, make_agent, schedule, before, plan, costs, supervision, memory, _realtime(scenario)
+        devices, task, make_agent, schedule, before, plan, costs, supervision, memory, realtime, watchdog
     )
+
+
+def _check_patience(
+    problems: _Problems, scenario: Scenario, devices: Mapping[str, Device], schedule: Schedule
+) -> None:
+    """Note where the watchdog, or hardware with one of its own, would take learning for a stall."""
+    guarded = {name: device for name, device in devices.items() if isinstance(device, Guarded)}
+    if guarded:
+        timeout = scenario.model.watchdog.timeout
+        problems.attempt(("watchdog", "timeout"), partial(check_watchdog, timeout, schedule))
+    for name, device in guarded.items():
+        problems.attempt(scenario.devices[name].path, partial(check_tolerance, device, schedule))
 
 
 def _supervision(scenario: Scenario) -> dict[str, Supervision]:
@@ -282,6 +310,10 @@ def _with_learn(scenario: Scenario, schedule: Schedule) -> Schedule:
 def _realtime(scenario: Scenario) -> Realtime:
     table = scenario.model.realtime
     return Realtime(**{name: getattr(table, name) for name in type(table).model_fields})
+
+
+def _watchdog(scenario: Scenario) -> Watchdog:
+    return Watchdog(scenario.model.watchdog.timeout, str(scenario.source.path.resolve()))
 
 
 def _costs(scenario: Scenario) -> Costs:

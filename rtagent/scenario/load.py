@@ -96,6 +96,17 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     return scenario
 
 
+def load_devices(path: str | Path, overrides: Sequence[str] = ()) -> tuple[list[Part], list[str]]:
+    """Read the devices of a scenario, whatever else is wrong with it; return them, and the problems of the others.
+
+    Raises `ScenarioError` where the file cannot be read.
+    """
+    source, problems = Source(Path(path), overrides), list[str]()
+    tables = [table for table in _plugin_tables(source.values) if table.group == "drivers"]
+    parts = [part for table in tables if (part := _part(table, source, problems)) is not None]
+    return parts, problems
+
+
 def _plugin_tables(values: Mapping[str, Any]) -> Iterator[_PluginTable]:
     """Yield every table of a plug-in's settings; those within another come after it."""
     devices = values.get("devices")

@@ -118,6 +118,19 @@ class StopTable(Table):
     drain: Duration = Field(500 * ms, description="how long learning may go on after a signal or a fault")
 
 
+class WatchdogTable(Table):
+    """What watches over a run with real hardware from outside."""
+
+    timeout: Duration = Field(100 * ms, description="so long without a heartbeat of the event loop, and it acts")
+
+    @field_validator("timeout")
+    @classmethod
+    def _within_reach(cls, timeout: int) -> int:
+        if timeout < 10 * ms:
+            raise ValueError("a loop may be woken some milliseconds late: give at least 10ms")
+        return timeout
+
+
 Processor = Annotated[int, Field(ge=0)]
 
 
@@ -198,3 +211,4 @@ class ScenarioModel(Table):
     horde: HordeTable | None = None
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)
+    watchdog: WatchdogTable = Field(default_factory=WatchdogTable)

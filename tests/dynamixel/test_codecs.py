@@ -191,6 +191,15 @@ def test_a_false_beginning_holds_nothing_back_for_ever() -> None:
     assert decoder.reset() == [answer]
 
 
+@pytest.mark.parametrize(("protocol", "false"), [(1, "FF FF 01 FF 00"), (2, "FF FF FD 00 FE 00 04 55 00 01")])
+def test_noise_that_claims_to_be_longer_than_what_is_expected_holds_up_nothing(protocol: int, false: str) -> None:
+    its, decoder = CODECS[protocol], CODECS[protocol].status_decoder()
+    answer = Status(5, 0, bytes(8))
+    decoder.longest = its.status_length(8)
+    assert decoder.feed(bytes.fromhex(false) + its.status(answer)) == [answer]
+    assert decoder.feed(its.status(Status(5, 0, bytes(9)))) == []
+
+
 def test_a_header_within_a_broken_packet_of_protocol_2_is_a_new_packet_at_once() -> None:
     decoder, answer = PROTOCOL2.status_decoder(), Status(5, 0, bytes(8))
     cut = PROTOCOL2.status(Status(1, 0, bytes(100)))[:50]

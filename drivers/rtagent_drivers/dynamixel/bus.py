@@ -19,7 +19,7 @@ from rtagent_drivers.dynamixel.exchange import Exchange, Question, Statuses, que
 from rtagent_drivers.dynamixel.packets import Codec, Request, Status
 from rtagent_drivers.dynamixel.polling import TICK, Polling, Roster, Round
 from rtagent_drivers.dynamixel.timing import transaction, wire
-from rtagent_drivers.serial_line import Line, connect
+from rtagent_drivers.serial_line import Connect, Line, connect
 
 PATIENCE = 10 * ms
 """How much later than the wire allows an answer may be: adapters, kernel, a processor that is busy elsewhere."""
@@ -38,8 +38,11 @@ class _Write(NamedTuple):
 class Bus:
     """The owner of a line. All times are in ns; all methods belong to the event loop that opened it."""
 
-    def __init__(self, codec: Codec, port: str, baud: int, patience: int = PATIENCE) -> None:
+    def __init__(
+        self, codec: Codec, port: str, baud: int, patience: int = PATIENCE, connect: Connect = connect
+    ) -> None:
         self.codec, self.port, self.baud, self.patience = codec, port, baud, patience
+        self._connect = connect
         self.return_delay = DEFAULT_RETURN_DELAY
         self._counts: Counter[str] = Counter()
         self._decoder = codec.status_decoder()
@@ -61,7 +64,7 @@ class Bus:
         """Open the line; return the path of its port. Raises `DisconnectedError`."""
         self._loop, self._now = asyncio.get_running_loop(), current().now
         self._decoder.reset()
-        self._line = await connect(self.port, self.baud, self)
+        self._line = await self._connect(self.port, self.baud, self)
         return self._line.path
 
     async def close(self) -> None:
@@ -216,6 +219,8 @@ class Bus:
     def _begin(self, exchange: Exchange, now: int, before: int) -> None:
         """Note when an exchange goes to the line, after `before` bytes of commands, and until when it may take."""
         asked = exchange.question
+        if asked.lengths:
+            self._decoder.longest = max(asked.lengths) * 4 // 3  # stuffing adds a third at most
         takes = transaction(before + len(asked.data), asked.lengths, self.baud, self.return_delay)
         exchange.sent, exchange.until, exchange.garbage = now, max(now, self._free_at) + takes, self._garbage()
         self._deadline = exchange.until + (max(self.patience - HURRY, ms) if exchange.urgent else self.patience)

@@ -98,7 +98,10 @@ class Dynamixel:
         self._servos = [Servo(axis, self.spec.actuators[axis.actuator]) for axis in self._axes]
         self._by_actuator = {servo.axis.actuator: servo for servo in self._servos}
         self._port, self._stop, self._silence, self._home_within = port, stop, silence, home_within
-        self._bus_watchdog, self._return_delay = bus_watchdog, return_delay
+        self._return_delay = return_delay
+        able = any("bus_watchdog" in servo.model.registers for servo in self._servos)
+        self.tolerates = bus_watchdog if able else 0
+        """How long (ns) the servos tolerate to hear nothing (0: for ever)."""
         self._bus = _bus(backend, protocol, port, baud)
         self._path = ""
         self._notes: Sequence[str] = ()
@@ -117,7 +120,7 @@ class Dynamixel:
         self._fault: LimitError | None = None
         self._lost: DisconnectedError | None = None
         self._trouble: DeviceError | None = None
-        self._not_before = self._polling_since = 0
+        self._not_before = self._polling_since = self._asked_at = 0
 
     # Life
 
@@ -149,7 +152,7 @@ class Dynamixel:
         bus.return_delay = opening.return_delay(tables) if self._return_delay is None else self._return_delay
         roster = self._roster()
         self._notes = opening.check_rate(bus, roster, self.spec.rate, latency, self._path)
-        await opening.set_bus_watchdogs(bus, servos, self._bus_watchdog)
+        await opening.set_bus_watchdogs(bus, servos, self.tolerates)
         self._polling_since = self._now()
         bus.poll(roster, round(second / self.spec.rate), self._hear, self._lose)
         await self._first_readings()
@@ -204,12 +207,6 @@ class Dynamixel:
     def safe_within(self) -> int:
         """How long (ns) `make_safe` may take."""
         return SAFE_WITHIN + (self._home_within if self._stop == "home" else 0)
-
-    @property
-    def tolerates(self) -> int:
-        """How long (ns) the servos tolerate to hear nothing (0: for ever)."""
-        able = any("bus_watchdog" in servo.model.registers for servo in self._servos)
-        return self._bus_watchdog if able else 0
 
     @property
     def last_resort(self) -> LastResort:
@@ -270,6 +267,7 @@ class Dynamixel:
                 values.update(zip(servo.sensors, reading, strict=True))
                 self._hold_against_limits(servo, reading, round_.ended)
                 answered += 1
+        self._note_stall(round_.sent)
         self._values = values
         self._incomplete += answered < len(self._servos)
         self._trouble = self._silent(round_.ended)
@@ -278,6 +276,15 @@ class Dynamixel:
             middle = (round_.sent + round_.ended) // 2
             self._sample = Sample(values, middle, round_.ended, self._sequence, "arrival")
         self._wake()
+
+    def _note_stall(self, sent: int) -> None:
+        """Servos with a Bus Watchdog have stopped if they heard nothing for longer than it allows."""
+        before, self._asked_at = self._asked_at, sent
+        if before and self.tolerates and sent - before > self.tolerates and self._fault is None:
+            self._fault = LimitError(
+                f"nothing was sent for {describe(sent - before)}, so that the servos have stopped by themselves: "
+                f"find what kept the loop busy, or raise bus_watchdog ({describe(self.tolerates)})."
+            )
 
     def _hold_against_limits(self, servo: Servo, reading: Reading, now: int) -> None:
         said = servo.limits.violated(reading, now, servo.on)
@@ -437,6 +444,6 @@ def _check_starts(arm: Sequence[Axis], stop: Stop) -> None:
 def _bus(backend: str, protocol: int, port: str, baud: int) -> Bus:
     if backend == "own":
         return Bus(codec(protocol), port, baud)
-    from rtagent_drivers.dynamixel.sdk import SdkBus
+    from rtagent_drivers.dynamixel.sdk import sdk_bus
 
-    return SdkBus(codec(protocol), port, baud)
+    return sdk_bus(codec(protocol), port, baud)

@@ -123,11 +123,11 @@ async def configure(bus: Bus, servo: Servo, table: Table, delay: int | None) -> 
         for name, raw in different.items():
             await _write(bus, servo, table, name, raw)
         await _confirm(bus, servo, different)
-    for name, raw in (wanted.items() - kept.items()) | set(_volatile(servo)):
+    for name, raw in (wanted.items() - kept.items()) | set(volatile(servo)):
         await _write(bus, servo, table, name, raw)
 
 
-def _volatile(servo: Servo) -> Iterator[tuple[str, int]]:
+def volatile(servo: Servo) -> Iterator[tuple[str, int]]:
     """Yield what is set in a servo whenever it is opened: what it may exert, and how fast it speeds up."""
     registers, joint = servo.model.registers, servo.axis.joint
     effort = "torque_limit" if servo.model.protocol == 1 else "goal_pwm"

@@ -63,6 +63,11 @@ def stay(model: Model, mode: Mode, angle: float) -> Order:
     return towards(model, angle, HOLD_SPEED)
 
 
+def unwatch(model: Model) -> Order | None:
+    """Return the order that clears a Bus Watchdog, which else lets nothing move again; None where there is none."""
+    return _order(model, bus_watchdog=0) if "bus_watchdog" in model.registers else None
+
+
 def _nearest(register: Register, value: float) -> int:
     low, high = bounds(register)
     least, most = (low - register.zero) * register.scale, (high - register.zero) * register.scale

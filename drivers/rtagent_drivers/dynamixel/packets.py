@@ -77,6 +77,9 @@ class Decoder(Protocol[Packet_co]):
     """Packets that were cut short, or whose checksum was wrong."""
     skipped: int
     """Bytes that belong to no packet."""
+    longest: int
+    """No packet of more bytes than this is believed. Who knows what may come can set it lower: then noise that
+    looks like the beginning of a long packet holds up nothing."""
 
     def feed(self, data: bytes) -> Sequence[Packet_co]:
         """Take further bytes; return the packets that they complete, in order."""

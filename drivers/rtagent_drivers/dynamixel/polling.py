@@ -13,7 +13,7 @@ from rtagent_drivers.dynamixel.orders import questions
 from rtagent_drivers.dynamixel.packets import Codec, Span, Status
 
 FIRST_PAUSE, LONGEST_PAUSE = 10 * ms, 1 * second
-"""A silent servo is asked again after the one, then after twice as long, at last after the other."""
+"""A silent servo is asked again at once, then after the one, then after twice as long, at last after the other."""
 
 TICK = 1 * us
 """Timers of asyncio may fire a nanosecond early."""
@@ -56,7 +56,7 @@ class Roster:
             self._silent.pop(servo, None)
         if missing is not None:
             before = self._silent.get(missing)
-            pause = FIRST_PAUSE if before is None else min(2 * before.pause, LONGEST_PAUSE)
+            pause = 0 if before is None else min(max(2 * before.pause, FIRST_PAUSE), LONGEST_PAUSE)
             self._silent[missing] = _Silence(pause, now + pause)
         self.questions = self._ask()
 

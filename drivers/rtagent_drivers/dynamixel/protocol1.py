@@ -40,6 +40,7 @@ class Framing(Generic[Packet]):
 
     header = HEADER
     shortest = 5
+    longest = LONGEST + 6
 
     def __init__(self, make: Callable[[int, int, bytes], Packet], highest: tuple[int, int]) -> None:
         self._make, (self._servo, self._code) = make, highest

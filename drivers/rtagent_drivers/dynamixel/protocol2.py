@@ -46,6 +46,7 @@ class Framing(Generic[Packet]):
 
     header = HEADER
     shortest = 10
+    longest = LONGEST + 7
 
     def __init__(self, make: Callable[[int, int, bytes], Packet], *, answers: bool) -> None:
         self._make, self._answers = make, answers
@@ -56,7 +57,7 @@ class Framing(Generic[Packet]):
         """Return where the packet ends whose header is at `start`; `start` itself where it can be none."""
         length = buffer[start + 5] | buffer[start + 6] << 8
         ours = (buffer[start + 7] == Instruction.STATUS) == self._answers
-        possible = ours and self._least <= length <= LONGEST and buffer[start + 4] <= BROADCAST
+        possible = ours and length >= self._least and buffer[start + 4] <= BROADCAST
         return start + 7 + length if possible else start
 
     def cut_short(self, buffer: bytes, start: int) -> bool:

@@ -15,6 +15,7 @@ class Framing(Protocol[Packet_co]):
     header: bytes
     shortest: int
     """As many bytes must be there before a packet can be measured."""
+    longest: int
 
     def end(self, buffer: bytes, start: int) -> int:
         """Return where the packet ends whose header is at `start`; `start` itself where it can be none."""
@@ -32,6 +33,7 @@ class StreamDecoder(Generic[Packet]):
     def __init__(self, framing: Framing[Packet]) -> None:
         self._framing = framing
         self._rest = b""
+        self.longest = framing.longest
         self.damaged = 0
         self.skipped = 0
 
@@ -43,19 +45,16 @@ class StreamDecoder(Generic[Packet]):
         return found
 
     def reset(self) -> Sequence[Packet]:
-        """Give up waiting for the rest of a packet; return those that stood behind its start."""
+        """Give up waiting for the rest of a packet; return those after its start."""
         found: list[Packet] = []
-        while (start := self._rest.find(self._framing.header, 1)) > 0:
-            self.damaged += 1
+        while rest := self._rest:
+            following = rest.find(self._framing.header, 1)
+            start = len(rest) if following < 0 else following
+            self.damaged += len(rest) >= self._framing.shortest
             self.skipped += start
-            found.extend(self._again(start))
-        self.skipped += len(self._rest)
-        self._rest = b""
+            self._rest = b""
+            found.extend(self.feed(rest[start:]))
         return found
-
-    def _again(self, start: int) -> Sequence[Packet]:
-        buffer, self._rest = self._rest[start:], b""
-        return self.feed(buffer)
 
     def _scan(self, buffer: bytes, found: list[Packet]) -> int:
         """Add the packets in `buffer` to `found`; return from where on it may hold another."""
@@ -66,6 +65,8 @@ class StreamDecoder(Generic[Packet]):
             if size - start < framing.shortest:
                 return start
             end = framing.end(buffer, start)
+            if end - start > self.longest:
+                end = start
             if end > size and not framing.cut_short(buffer, start):
                 return start
             packet = framing.parse(buffer[start:end]) if start < end <= size else None

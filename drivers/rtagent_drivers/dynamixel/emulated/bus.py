@@ -13,14 +13,12 @@ from rtagent_drivers.dynamixel.emulated.instructions import FAST, Answer, perfor
 from rtagent_drivers.dynamixel.emulated.line import Line
 from rtagent_drivers.dynamixel.emulated.robots import Joint
 from rtagent_drivers.dynamixel.emulated.servo import Servo
+from rtagent_drivers.dynamixel.emulated.supply import Supply
 from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request
 from rtagent_drivers.dynamixel.protocol2 import combined
 
 PATIENCE = 20 * ms
 """A packet whose rest does not come within this time is forgotten."""
-
-SAG = 0.08
-"""Volts that the supply drops for each motor's full load."""
 
 Log = Callable[[dict[str, Any]], None]
 
@@ -46,7 +44,10 @@ class EmulatedBus:
         self._log = log
         self.faults = Plan(tuple(faults), now)
         self._line = Line(self.faults, timing=timing)
-        self.servos = [Servo(joint, now, self._supply, self._tell) for joint in joints]
+        supply = Supply()
+        self.servos = [Servo(joint, now, supply.voltage, self._tell) for joint in joints]
+        for servo in self.servos:
+            supply.feed(servo)
         _check(self.servos, protocol)
         self._heard_at = now
         self._baud = self.servos[0].baud
@@ -103,7 +104,7 @@ class EmulatedBus:
         return sum(self._line.duration(self._codec.request(each), self._baud) for each in rest)
 
     def _take(self, time: int, request: Request) -> None:
-        hearing = [servo for servo in self.servos if servo.hears(time) and servo.baud == self._baud]
+        hearing = [servo for servo in self.servos if servo.hears(time, self._baud)]
         for servo in hearing:
             servo.advance(time)
             servo.heard(time)
@@ -127,11 +128,6 @@ class EmulatedBus:
         if len(answers) == asked and not any(self._line.is_silent(servo.id) for servo, _ in answers):
             data = self._codec.status(combined([status for _, status in answers]))
             self._line.answer(time, answers[0][0].return_delay, BROADCAST, data, self._baud)
-
-    def _supply(self, time: int) -> float:
-        """Return the voltage at `time`: it sags under the motors' loads."""
-        nominal = self.servos[0].model.nominal_voltage
-        return nominal - SAG * sum(abs(servo.state(time).load) for servo in self.servos)
 
     def _tell(self, time: int, servo: Servo, event: str, value: Any) -> None:
         if self._log is not None:

@@ -96,7 +96,7 @@ def _parsed(kind: Any, given: object) -> Any:
     try:
         return _adapter(kind).validate_python(given)
     except ValidationError as error:
-        problems = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        problems = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg'].rstrip('.')}" for e in error.errors())
         raise SpecError(f"{given!r} cannot be: {problems}.") from None
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 from rtagent.errors import SpecError
 from rtagent.units import Duration, ms
+
+CLOSED_SETTINGS = {"extra": "forbid"}
 
 Kind = Literal[
     "silent", "corrupt", "truncated", "late", "noise", "babble",
@@ -25,6 +27,8 @@ class Fault:
     Of the servo: `overload`, `overheat` and `voltage` are errors that it reports and acts upon; `blocked` holds its
     joint fast.
     """
+
+    __pydantic_config__: ClassVar = CLOSED_SETTINGS
 
     kind: Kind
     servo: int = 0

@@ -21,6 +21,9 @@ GROUP_WRITES = {
     1: frozenset({Instruction.SYNC_WRITE}),
     2: frozenset({Instruction.SYNC_WRITE, Instruction.BULK_WRITE}),
 }
+RESTARTS = frozenset({Instruction.FACTORY_RESET, Instruction.REBOOT})
+"""Answered before they are done."""
+
 CLEARING = b"\x01DXL\x22"
 """What must come with CLEAR."""
 
@@ -72,9 +75,11 @@ def _each(time: int, request: Request, hearing: Mapping[int, Servo], codec: Code
     answers = []
     for servo in asked:
         number, level = servo.id, servo.memory["status_return_level"]
+        before = servo.error()
         refusal = _do(time, servo, request, codec)
         if level == 2 and not everybody:
-            answers.append((servo, Status(number, servo.error(refusal))))
+            error = before if request.instruction in RESTARTS else servo.error(refusal)
+            answers.append((servo, Status(number, error)))
     return answers
 
 

@@ -14,15 +14,16 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from rtagent.clock import RealClock
-from rtagent.errors import RtagentError, SpecError
+from rtagent.errors import RtagentError, SpecError, did_you_mean
 from rtagent.units import BAUD, TIME
 from rtagent_drivers.dynamixel.emulated.bus import EmulatedBus, Log
-from rtagent_drivers.dynamixel.emulated.control import USAGE, read_fault, read_joints
+from rtagent_drivers.dynamixel.emulated.control import USAGE, obey, read_fault, read_joints
 from rtagent_drivers.dynamixel.emulated.process import Emulator, Way
 from rtagent_drivers.dynamixel.emulated.robots import ROBOTS, Joint
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
@@ -59,21 +60,25 @@ def _emulate(given: argparse.Namespace) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, _end)
     terminal = Terminal(given.link)
-    protocol = given.protocol or next(iter(ROBOTS[given.robot]))
+    joints, protocol = _joints(given)
     with _log(given.log) as log, contextlib.suppress(SystemExit):
         faults = [read_fault(text) for text in given.fault]
         now = RealClock.now()
-        bus = EmulatedBus(_joints(given, protocol), protocol, now, timing=given.timing, faults=faults, log=log)
-        Emulator(bus, terminal, Way(given.timing, given.linger)).run(lambda: _say(str(given.link)))
+        bus = EmulatedBus(joints, protocol, now, timing=given.timing, faults=faults, log=log)
+        Emulator(bus, partial(obey, bus), terminal, Way(given.timing, given.linger)).run(lambda: _say(str(given.link)))
 
 
-def _joints(given: argparse.Namespace, protocol: int) -> Sequence[Joint]:
+def _joints(given: argparse.Namespace) -> tuple[Sequence[Joint], int]:
+    """Return the servos, and their protocol; raise `SpecError` where there are none such."""
     if given.joints is not None:
-        return read_joints(given.joints)
-    if protocol not in ROBOTS[given.robot]:
+        return read_joints(given.joints), given.protocol or 1
+    if given.robot not in ROBOTS:
+        raise SpecError(f"no robot {given.robot!r} is known{did_you_mean(given.robot, list(ROBOTS))}")
+    known = ROBOTS[given.robot]
+    protocol = given.protocol or next(iter(known))
+    if protocol not in known:
         raise SpecError(f"{given.robot} does not speak protocol {protocol}.0: leave --protocol out.")
-    joints = ROBOTS[given.robot][protocol]
-    return [replace(joint, baud=given.baud, return_delay=given.return_delay) for joint in joints]
+    return [replace(each, baud=given.baud, return_delay=given.return_delay) for each in known[protocol]], protocol
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -83,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=FAULTS + USAGE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("robot", choices=list(ROBOTS))
+    parser.add_argument("robot", help=f"{' or '.join(ROBOTS)}, or any name with --joints")
     parser.add_argument("--link", type=Path, required=True, help="the name under which programs find the bus")
     parser.add_argument("--protocol", type=int, choices=(1, 2), help="which firmware the servos have")
     parser.add_argument("--baud", type=BAUD.parse, default=1_000_000, help="at what they listen, such as 57600baud")

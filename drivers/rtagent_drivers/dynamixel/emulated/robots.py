@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from rtagent.units import Angle, Baud, Duration
+from rtagent_drivers.dynamixel.emulated.faults import CLOSED_SETTINGS
 from rtagent_drivers.dynamixel.physics import Body
 
 WEIGHTLESS = Body()
@@ -17,6 +19,8 @@ class Joint:
 
     `baud` is at what it listens, `return_delay` how long it waits before it answers (from the factory 500 µs).
     """
+
+    __pydantic_config__: ClassVar = CLOSED_SETTINGS
 
     name: str
     id: int

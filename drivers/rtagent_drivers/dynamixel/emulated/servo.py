@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from rtagent.errors import SpecError
 from rtagent.units import ms
 from rtagent_drivers.dynamixel import values
 from rtagent_drivers.dynamixel.emulated.drives import beyond_limits, drive, mode
@@ -15,6 +16,9 @@ from rtagent_drivers.dynamixel.physics import LIMP, Drive, Hand, Motion, State
 
 VOLTAGE_ERROR, OVERHEATED, OVERLOADED = 0x01, 0x04, 0x20
 """Bits of the errors of protocol 1.0, and of the register hardware_error of 2.0."""
+
+TOLERANCE = 0.03
+"""By so much may a host's baud rate differ from the servo's (57,600 is 57,142 in protocol 1.0)."""
 
 ALERT = 0x80
 WATCHDOG_UNIT = 20 * ms
@@ -62,9 +66,9 @@ class Servo:
         """How long (ns) it waits before it answers."""
         return round(self.memory.si("return_delay") * 1e9)
 
-    def hears(self, now: int) -> bool:
-        """Return whether it listens: not while it starts anew."""
-        return now >= self._deaf_until
+    def hears(self, now: int, baud: int) -> bool:
+        """Return whether it understands what comes at `baud`: not while it starts anew."""
+        return now >= self._deaf_until and abs(baud - self.baud) <= TOLERANCE * self.baud
 
     def error(self, refusal: Refusal | None = None) -> int:
         """Return the error byte of an answer."""
@@ -151,6 +155,12 @@ class Servo:
             return False
         self.motion.drive(now, LIMP if position is None else Hand(position))
         return True
+
+    def place(self, now: int, position: float) -> None:
+        """Be at `position` (rad) at once, limp and at rest."""
+        self.memory["torque_enable"] = 0
+        self._drive = LIMP
+        self.motion = Motion(self.joint.body, position, now)
 
     def state(self, now: int) -> State:
         """Return the true state of the joint."""
@@ -259,6 +269,9 @@ CONDITIONS = {"overheat": OVERHEATED, "voltage": VOLTAGE_ERROR}
 
 
 def _baud_count(protocol: int, baud: int) -> int:
-    """Return what the register baud_rate says for a baud rate, or for the nearest that there is."""
+    """Return what the register baud_rate says for a baud rate; raise `SpecError` where a servo has none like it."""
     counts = range(255) if protocol == 1 else range(len(values.BAUDS_2))
-    return min(counts, key=lambda count: abs(values.baud_rate(protocol, count) - baud))
+    nearest = min(counts, key=lambda count: abs(values.baud_rate(protocol, count) - baud))
+    if abs(values.baud_rate(protocol, nearest) - baud) > TOLERANCE * baud:
+        raise SpecError(f"servos of protocol {protocol}.0 do not have {baud} baud: give another, such as 1Mbaud.")
+    return nearest
