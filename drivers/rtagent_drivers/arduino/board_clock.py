@@ -84,7 +84,9 @@ class BoardClock:
             self._stretch_began = point.time
             self._make_room()
             self._points.append(point)
-        elif point.offset - self._slope * point.time < self._points[-1].offset - self._slope * self._points[-1].time:
+        elif (
+            point.offset - self._slope * point.time < self._points[-1].offset - self._slope * self._points[-1].time
+        ):
             self._points[-1] = point
 
     def _make_room(self) -> None:

@@ -12,7 +12,7 @@ def stuffed(data: bytes) -> bytes:
         last = number == len(pieces) - 1
         while len(run) >= LONGEST_RUN:
             runs += b"\xff" + run[:LONGEST_RUN]
-            run = run[LONGEST_RUN:]  # noqa: PLW2901  # what is left of it
+            run = run[LONGEST_RUN:]  # what is left of it
             if not run and last:
                 return bytes(runs)
         runs.append(len(run) + 1)

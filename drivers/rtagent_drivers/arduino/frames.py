@@ -25,7 +25,7 @@ UNCHANGED = 0xFFFF
 """In place of a pulse: that servo goes on as it does."""
 
 SCAN = Struct("<HI")
-HELLO = Struct("<BBIHHB")
+HELLO = Struct("<BBIHHHB")
 STATE = Struct("<BH")
 
 
@@ -37,7 +37,7 @@ def frame(kind: bytes, body: bytes = b"") -> bytes:
 
 # What the host says
 
-ASK, HEARTBEAT, MAKE_SAFE = frame(b"h"), frame(b"b"), frame(b"s")
+ASK, ARM, MAKE_SAFE = frame(b"h"), frame(b"a"), frame(b"s")
 
 
 def configure(period: int, heartbeat: int, *, holds: bool) -> bytes:
@@ -61,7 +61,13 @@ def scan(readings: Sequence[int], number: int, micros: int) -> bytes:
 def hello(said: Hello) -> bytes:
     """Return the frame in which a board says what it is."""
     head = HELLO.pack(
-        said.version, said.started, said.period // us, said.scan // us, said.heartbeat // ms, said.holds
+        said.version,
+        said.started,
+        said.period // us,
+        said.scan // us,
+        said.lag // us,
+        said.heartbeat // ms,
+        said.holds,
     )
     channels, servos = [_pin_number(pin) for pin in said.channels], said.servos
     return frame(b"H", head + bytes([len(channels), *channels, len(servos), *servos]))
@@ -124,15 +130,14 @@ def _scan(body: bytes) -> Scan:
 def _hello(body: bytes) -> Hello:
     if body[0] != VERSION:
         return Hello(body[0])
-    version, started, period, takes, heartbeat, holds = HELLO.unpack_from(body)
+    version, started, period, takes, lag, heartbeat, holds = HELLO.unpack_from(body)
     count = body[HELLO.size]
     channels, servos = body[HELLO.size + 1 :][:count], body[HELLO.size + 1 + count :]
     if len(channels) != count or len(servos) != servos[0] + 1:
         raise IndexError("a hello that is shorter or longer than it says")
     pins = tuple(_pin_name(number) for number in channels)
-    return Hello(
-        version, bool(started), period * us, takes * us, heartbeat * ms, bool(holds), pins, tuple(servos[1:])
-    )
+    times = period * us, takes * us, lag * us, heartbeat * ms
+    return Hello(version, bool(started), *times, bool(holds), pins, tuple(servos[1:]))
 
 
 def _state(body: bytes) -> ServoState:

@@ -12,13 +12,27 @@ from rtagent_drivers.arduino.messages import Decoder
 
 Format = Literal["rtagent", "handi", "glovi", "glovi_binary"]
 
-HANDI = ("M", "D0", "D1P", "D1I", "D1D", "D2P", "D2I", "D3P", "D3I", "D4P", "D5P", *(f"FSR{n}" for n in range(1, 6)))
+HANDI = (
+    "M",
+    "D0",
+    "D1P",
+    "D1I",
+    "D1D",
+    "D2P",
+    "D2I",
+    "D3P",
+    "D3I",
+    "D4P",
+    "D5P",
+    *(f"FSR{n}" for n in range(1, 6)),
+)
 GLOVI = tuple(f"A{n}" for n in range(6))
 
+POTENTIOMETERS = ("D0", "D1P", "D1D", "D2P", "D2I", "D3P", "D3I", "D4P", "D5P")
 HANDI_PINS: Mapping[str, str] = {
     "M": "2",
-    **dict(zip(("D0", "D1P", "D1D", "D2P", "D2I", "D3P", "D3I", "D4P", "D5P"), (f"A{n}" for n in range(2, 11)))),  # noqa: B905
-    **{f"FSR{n}": f"A{n + 10}" for n in range(1, 6)},
+    **{field: f"A{number}" for number, field in enumerate(POTENTIOMETERS, start=2)},
+    **{f"FSR{number}": f"A{number + 10}" for number in range(1, 6)},
 }
 """Where the fields of the HANDi Hand's lines are measured on its Mega; `D1I` is a constant 0."""
 
@@ -56,7 +70,12 @@ LAYOUTS: Mapping[Format, Layout] = {
         lambda readings: legacy.line(readings, ","),
     ),
     "glovi": Layout(
-        lambda: legacy.LineDecoder(len(GLOVI)), GLOVI, (), 132.0, 38_400, lambda readings: legacy.line(readings, ", ")
+        lambda: legacy.LineDecoder(len(GLOVI)),
+        GLOVI,
+        (),
+        132.0,
+        38_400,
+        lambda readings: legacy.line(readings, ", "),
     ),
     "glovi_binary": Layout(legacy.WordDecoder, GLOVI, (), 200.0, 38_400, legacy.words),
 }

@@ -24,7 +24,8 @@ class Scan(NamedTuple):
 class Hello(NamedTuple):
     """What a board is: the pins of its channels ("A0", "2") and servos. Times in ns.
 
-    `started`: it has just been reset. A scan takes `scan`; after `heartbeat` of silence it makes its servos safe.
+    `started`: it has just been reset. A scan takes `scan`, and is sent `lag` after its middle, which is its time.
+    After `heartbeat` of silence it makes its servos safe.
     Of a board of another `version` nothing else is known.
     """
 
@@ -32,6 +33,7 @@ class Hello(NamedTuple):
     started: bool = False
     period: int = 0
     scan: int = 0
+    lag: int = 0
     heartbeat: int = 0
     holds: bool = False
     channels: tuple[str, ...] = ()

@@ -23,7 +23,7 @@ class Ramp:
         self._began = self._ends = 0
 
     def go(self, goal: float, now: int) -> float:
-        """Go to `goal`, or as far as the limits allow; return that. The first goal is jumped to: it is `start`, or it."""
+        """Go to `goal`, or as far as the limits allow; return that. The first way begins at `start`, or at its end."""
         goal = min(max(goal, self._servo.least), self._servo.greatest)
         if not self.known:
             start = self._servo.start
@@ -55,20 +55,18 @@ class ServoBank:
     """All servos of a board; `order` are the pins of the board's servos, in its own order."""
 
     def __init__(self, servos: Mapping[str, Servo], order: Sequence[int], *, legacy: bool) -> None:
-        self._servos, self._legacy = servos, legacy
+        self._servos, self.legacy = servos, legacy
         self.order = order
         self._ramps = {name: Ramp(servo) for name, servo in servos.items()}
-        self._told: bytes = b""
 
     def forget(self) -> None:
         """Know nothing any more: the servos were let go of."""
         for ramp in self._ramps.values():
             ramp.forget()
-        self._told = b""
 
     def go(self, name: str, goal: float, now: int) -> float:
         """Send a servo on its way; return its goal within the limits. A legacy board is told of all: to their start."""
-        if self._legacy:
+        if self.legacy:
             for other, ramp in self._ramps.items():
                 start = self._servos[other].start
                 if not ramp.known and start is not None:
@@ -88,12 +86,8 @@ class ServoBank:
         return max((self._ramps[name].arrives for name in starts), default=now)
 
     def said(self, now: int) -> bytes:
-        """Return what says where they are to be now; nothing where that is what was said last."""
-        told = self._legacy_line(now) if self._legacy else self._frame(now)
-        if told == self._told:
-            return b""
-        self._told = told
-        return told
+        """Return what says where they are to be now; nothing where none was sent anywhere."""
+        return self._legacy_line(now) if self.legacy else self._frame(now)
 
     @property
     def on(self) -> bool:

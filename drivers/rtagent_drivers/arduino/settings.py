@@ -75,9 +75,13 @@ class Servo:
                 f"give two that differ, within {describe(SHORTEST_PULSE)} to {describe(LONGEST_PULSE)}."
             )
         if not self.range[0] < self.range[1]:
-            raise SpecError("range is [least, greatest angle]: swap the pulses where the servo turns the other way.")
+            raise SpecError(
+                "range is [least, greatest angle]: swap the pulses where the servo turns the other way."
+            )
         if not self.range[0] <= self.least < self.greatest <= self.range[1]:
-            raise SpecError("nothing is left between low and high: give two angles, in this order, within the range.")
+            raise SpecError(
+                "nothing is left between low and high: give two angles, in this order, within the range."
+            )
         if self.start is not None and not self.least <= self.start <= self.greatest:
             raise SpecError(f"start is {self.start:g} rad, outside {self.least:g} to {self.greatest:g}.")
         if self.max_velocity < 0.0:
@@ -132,7 +136,7 @@ class Settings:
     rate: Frequency | None = None
     heartbeat: Duration = 200 * ms
     stop: Stop = "detach"
-    fake: FakeSettings = FakeSettings()  # noqa: RUF009  # frozen: sharing it changes nothing
+    fake: FakeSettings = FakeSettings()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.hertz <= 5_000.0:
@@ -217,7 +221,7 @@ def check_load(channels: int, rate: float, bits: int) -> None:
     if bits and needed > FULL_LINE * bits:
         raise SpecError(
             f"{channels} channels at {rate:g} Hz are {FRAME_BYTES + 2 * channels} bytes × {BITS_A_BYTE} bits × "
-            f"{rate:g} Hz = {needed / 1000:.0f} kbit/s, which {bits} baud do not carry: lower the rate, or raise baud."
+            f"{rate:g} Hz = {needed / 1000:.0f} kbit/s, more than {bits} baud carry: lower the rate, or raise baud."
         )
 
 
@@ -227,7 +231,9 @@ def _check_channels(settings: Settings) -> None:
     known = settings.layout.channels
     for name, pin in zip(settings.inputs, settings.pins, strict=True):
         if known and pin not in known:
-            raise SpecError(f"{name}: the format {settings.format!r} has no {pin!r}{did_you_mean(pin, known)}")
+            raise SpecError(
+                f"{name}: the format {settings.format!r} has no {pin!r}{did_you_mean(pin, list(known))}"
+            )
         if not known and not (pin.isdigit() or (pin[:1] == "A" and pin[1:].isdigit() and int(pin[1:]) < 16)):
             raise SpecError(f'{name}: {pin!r} is no pin: give one such as "A0", or "2".')
         if settings.inputs[name].inverted and not is_switch(pin):

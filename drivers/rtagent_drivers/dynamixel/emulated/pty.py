@@ -65,7 +65,8 @@ def _emulate(given: argparse.Namespace) -> None:
         faults = [read_fault(text) for text in given.fault]
         now = RealClock.now()
         bus = EmulatedBus(joints, protocol, now, timing=given.timing, faults=faults, log=log)
-        Emulator(bus, partial(obey, bus), terminal, Way(given.timing, given.linger)).run(lambda: _say(str(given.link)))
+        way = Way(given.timing, given.linger)
+        Emulator(bus, partial(obey, bus), terminal, way).run(lambda: _say(str(given.link)))
 
 
 def _joints(given: argparse.Namespace) -> tuple[Sequence[Joint], int]:

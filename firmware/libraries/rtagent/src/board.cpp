@@ -51,6 +51,7 @@ void Board::hear() {
 void Board::obey(const Receiver &told) {
   heard_ = millis();
   if (told.type() == Ask) say_hello(false);
+  if (told.type() == Arm) safety_ = Moving;
   if (told.type() == Pulses) move(told);
   if (told.type() == MakeSafe) make_safe(ToldTo);
   if (told.type() == Configure && told.size() == 7) {
@@ -65,7 +66,7 @@ void Board::obey(const Receiver &told) {
 
 void Board::move(const Receiver &told) {
   if (told.size() != 2 * servo_count_) return;
-  safety_ = Moving;
+  if (safety_ != Moving) return say_state();
   for (uint8_t i = 0; i < servo_count_; i++) {
     uint16_t width = told.get16(2 * i);
     if (width != Servos::Unchanged) servos_.pulse(i, width);
@@ -82,14 +83,22 @@ void Board::watch_heartbeat() {
   if (safety_ == Moving && millis() - heard_ > settings_.heartbeat) make_safe(Unheard);
 }
 
-void Board::scan() {
+// Puts the time in the middle of the scan and all readings into a frame, which is closed; returns that time.
+uint32_t Board::measure_all(Frame &frame) const {
   uint16_t values[MostChannels];
-  uint32_t began = micros();
+  const uint32_t began = micros();
   for (uint8_t i = 0; i < count_; i++) values[i] = measure(i);
+  const uint32_t middle = began + (micros() - began) / 2;
+  frame.put32(middle);
+  for (uint8_t i = 0; i < count_; i++) frame.put16(values[i]);
+  frame.close();
+  return middle;
+}
+
+void Board::scan() {
   Frame frame(Scan);
   frame.put16(number_++);
-  frame.put32(began + (micros() - began) / 2);
-  for (uint8_t i = 0; i < count_; i++) frame.put16(values[i]);
+  measure_all(frame);
   frame.send(Serial);
   due_ += settings_.period;
   if (int32_t(micros() - due_) > int32_t(settings_.period)) due_ = micros();  // what was missed is not made up for
@@ -100,15 +109,19 @@ uint16_t Board::measure(uint8_t channel) const {
   return is_analog(pin) ? analogRead(pin) : digitalRead(pin);
 }
 
+// Tells also how long a scan takes, and how long after its time a frame is ready to be sent: both are measured.
 void Board::say_hello(bool started) {
-  uint32_t began = micros();
-  for (uint8_t i = 0; i < count_; i++) measure(i);
-  const uint16_t takes = micros() - began;
+  const uint32_t began = micros();
+  Frame trial(Scan);
+  trial.put16(0);
+  const uint32_t middle = measure_all(trial);
+  const uint32_t ended = micros();
   Frame frame(Hello);
   frame.put8(Version);
   frame.put8(started);
   frame.put32(settings_.period);
-  frame.put16(takes);
+  frame.put16(ended - began);
+  frame.put16(ended - middle);
   frame.put16(settings_.heartbeat);
   frame.put8(settings_.stop);
   frame.put8(count_);
@@ -117,6 +130,7 @@ void Board::say_hello(bool started) {
   }
   frame.put8(servo_count_);
   for (uint8_t i = 0; i < servo_count_; i++) frame.put8(servo_pins_[i]);
+  frame.close();
   frame.send(Serial);
 }
 
@@ -125,6 +139,7 @@ void Board::say_state() {
   frame.put8(safety_);
   frame.put16(receiver_.bad());
   for (uint8_t i = 0; i < servo_count_; i++) frame.put16(servos_.width(i));
+  frame.close();
   frame.send(Serial);
 }
 

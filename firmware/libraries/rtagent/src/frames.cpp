@@ -14,7 +14,7 @@ uint16_t crc(const uint8_t *bytes, uint8_t size) {
 
 }  // namespace
 
-Frame::Frame(uint8_t type) : size_(0) { put8(type); }
+Frame::Frame(uint8_t type) { put8(type); }
 
 void Frame::put8(uint8_t value) {
   if (size_ < Most - 2) bytes_[size_++] = value;  // two are left for the CRC
@@ -30,23 +30,22 @@ void Frame::put32(uint32_t value) {
   put16(value >> 16);
 }
 
-uint8_t Frame::send(Stream &line) {
-  uint16_t check = crc(bytes_, size_);
+void Frame::close() {
+  const uint16_t check = crc(bytes_, size_);
   bytes_[size_++] = check;
   bytes_[size_++] = check >> 8;
-  uint8_t stuffed[Most + 2];
-  uint8_t mark = 0, end = 1;  // frames are shorter than the 254 bytes after which COBS needs another mark
-  for (uint8_t i = 0; i < size_; i++) {
+  uint8_t mark = 0;
+  end_ = 1;
+  for (uint8_t i = 0; i < size_; i++) {  // shorter than the 254 bytes after which COBS needs another mark
     if (bytes_[i]) {
-      stuffed[end++] = bytes_[i];
+      stuffed_[end_++] = bytes_[i];
     } else {
-      stuffed[mark] = end - mark;
-      mark = end++;
+      stuffed_[mark] = end_ - mark;
+      mark = end_++;
     }
   }
-  stuffed[mark] = end - mark;
-  stuffed[end++] = 0;
-  return line.write(stuffed, end);
+  stuffed_[mark] = end_ - mark;
+  stuffed_[end_++] = 0;
 }
 
 bool Receiver::take(uint8_t byte) {

@@ -10,7 +10,7 @@ const uint8_t Version = 1;
 // What a board says.
 const uint8_t Hello = 'H', Scan = 'S', ServoState = 'V';
 // What it is told.
-const uint8_t Ask = 'h', Configure = 'c', Pulses = 'v', Heartbeat = 'b', MakeSafe = 's';
+const uint8_t Ask = 'h', Configure = 'c', Arm = 'a', Pulses = 'v', MakeSafe = 's';
 
 // A frame to be sent. Numbers are little endian.
 class Frame {
@@ -19,13 +19,14 @@ class Frame {
   void put8(uint8_t value);
   void put16(uint16_t value);
   void put32(uint32_t value);
-  // Sends it, and returns how many bytes that took.
-  uint8_t send(Stream &line);
+  // Makes it ready to be sent; nothing can be put into it any more.
+  void close();
+  void send(Stream &line) const { line.write(stuffed_, end_); }
 
  private:
   static const uint8_t Most = 120;
-  uint8_t bytes_[Most];
-  uint8_t size_;
+  uint8_t bytes_[Most], stuffed_[Most + 2];
+  uint8_t size_ = 0, end_ = 0;
 };
 
 // Makes frames of the bytes that come.

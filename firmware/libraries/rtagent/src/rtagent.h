@@ -1,4 +1,5 @@
 // A board that measures channels at a steady rate, moves servos, and makes them safe when nobody speaks to it.
+// Servos that were made safe move only after they were armed again.
 #pragma once
 
 #include "frames.h"
@@ -51,6 +52,7 @@ class Board {
   void move(const Receiver &told);
   void make_safe(Safety why);
   void watch_heartbeat();
+  uint32_t measure_all(Frame &frame) const;
   void scan();
   uint16_t measure(uint8_t channel) const;
   void say_hello(bool started);
