@@ -9,6 +9,7 @@ algorithms for network measurements", INFOCOM).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from rtagent.units import ms, second, us
@@ -109,7 +110,7 @@ class BoardClock:
 
 
 def _lower_hull(points: Sequence[Point]) -> list[Point]:
-    """Return the corners of the lower convex hull of points in the order of their times (Andrew's monotone chain)."""
+    """Return the corners of the lower convex hull of points in the order of their times (Andrew 1979)."""
     hull: list[Point] = []
     for point in points:
         while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
@@ -125,9 +126,9 @@ def _turns_down(first: Point, second: Point, third: Point) -> bool:
 
 
 def _spanning(hull: Sequence[Point], points: Sequence[Point]) -> tuple[Point, Point]:
-    """Return the edge of the hull above the mean of the times: the line below all points that is nearest to them."""
+    """Return the edge of the hull at the mean of the times: the line below all points that is nearest to them."""
     mean = sum(point.time for point in points) / len(points)
-    for left, right in zip(hull, hull[1:], strict=False):
+    for left, right in pairwise(hull):
         if right.time >= mean:
             return left, right
     return hull[-1], hull[-1]

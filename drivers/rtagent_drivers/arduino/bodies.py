@@ -96,7 +96,7 @@ class Digit:
 
 
 class Hand:
-    """A hand of six digits, two of whose sensors press on what lies in it now and then; its button is pressed, too."""
+    """A hand of six digits in which something lies now and then; its button is pressed now and then, too."""
 
     def __init__(self) -> None:
         self.begin(0, np.random.default_rng(0))

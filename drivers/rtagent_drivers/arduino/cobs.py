@@ -1,4 +1,4 @@
-"""Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): data without zeros, so that a zero can end a frame."""
+"""Consistent Overhead Byte Stuffing (Cheshire and Baker 1999): data without zeros, which a zero can end."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Arduino:
-    """A board that measures. `world_time` of a sample is the board's own, fitted to the host's clock, in our format."""
+    """A board that measures; in our format a sample's `world_time` is the board's, fitted to the host's clock."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.spec = settings, settings.spec()
@@ -95,11 +95,11 @@ class Arduino:
                 await self.read(-1)
         except TimeoutError:
             raise DeviceError(
-                f"the board at {self.settings.port} sends no scans with its channels: reset it, or upload its sketch."
+                f"the board at {self.settings.port} sends no scans of its channels: reset it."
             ) from None
 
     async def close(self) -> None:
-        """Let go of the port. Servos that move are made safe by the board, when it has heard nothing for a while."""
+        """Let go of the port. The board makes its servos safe when it has heard nothing for a while."""
         link, self._link = self._link, None
         self._stop_beating()
         if self._sampler is not None and link is not None:
@@ -374,8 +374,8 @@ def arduino(
     """An Arduino board, at `port`, that speaks our `format` or one of older sketches: its channels are sensors.
 
     `channels` and `servos` are pins by the names that they have in a scenario; all channels are measured `rate`
-    times a second. `baud` is "usb" for a board with native USB, such as the Leonardo. A board with servos makes them
-    safe by its own when it has heard nothing for `heartbeat`, and when it is told to: it gives no more pulses
+    times a second. `baud` is "usb" for a board with native USB, such as the Leonardo. A board with servos makes
+    them safe by its own when it has heard nothing for `heartbeat`, and when it is told to: it gives no more pulses
     (`stop` = "detach"), or goes on with those of the moment ("hold"). A servo is commanded by its angle (rad).
     """
     settings = Settings(port, format, baud, channels, servos, rate, heartbeat, stop, fake)

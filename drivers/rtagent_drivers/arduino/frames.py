@@ -87,7 +87,7 @@ def contents(stuffed_frame: bytes) -> bytes | None:
 
 
 class FrameDecoder:
-    """Messages of the bytes of a board; the bytes before the first zero may be the end of a frame, and are borne."""
+    """Messages of the bytes of a board; those before the first zero may be the end of a frame, and are borne."""
 
     def __init__(self) -> None:
         self.bad = 0

@@ -1,7 +1,7 @@
 """A board made safe by a process that has no event loop: a second way to its port, which blocks.
 
-It imports little, so that it is there at once. It says so again and again until the board confirms; the board itself
-makes its servos safe when it hears nothing any more.
+It imports little, so that it is there at once. It says so again and again until the board confirms; the board
+itself makes its servos safe when it hears nothing any more.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def open_spare(settings: Mapping[str, Any]) -> Spare:
 
 
 class Spare:
-    """A second way to a board's port. A legacy board holds its servos by itself, and cannot be told anything else."""
+    """A second way to a board's port. A legacy board holds its servos by itself, and can do nothing else."""
 
     def __init__(self, port: str, baud: int, *, legacy: bool, holds: bool) -> None:
         self._port, self._baud, self._legacy, self._holds = port, baud, legacy, holds

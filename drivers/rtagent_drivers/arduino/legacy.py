@@ -17,7 +17,7 @@ SIZE = len(HEADER) + READINGS.size
 
 
 class LineDecoder:
-    """Scans from lines of `count` numbers, separated by commas. What comes before the first line end is left out."""
+    """Scans from lines of `count` numbers, separated by commas; what comes before the first line end is cut."""
 
     def __init__(self, count: int, switches: frozenset[int] = frozenset()) -> None:
         self.bad = 0

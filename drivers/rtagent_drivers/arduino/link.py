@@ -50,7 +50,7 @@ class Link:
         self._line.write(data)
 
     async def news(self, within: int) -> None:
-        """Wait until something comes, for `within` (ns) at most; raise `DisconnectedError` where the line has gone."""
+        """Wait until something comes, for `within` (ns) at most; raise `DisconnectedError` if the line is gone."""
         try:
             async with asyncio.timeout(within / second):
                 await self._news.wait()

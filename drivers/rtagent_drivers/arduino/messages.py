@@ -63,7 +63,7 @@ class Decoder(Protocol):
     """Makes messages of bytes as they come, in pieces of any size."""
 
     bad: int
-    """How many frames or lines were damaged; the first one, which may have begun before we listened, is not counted."""
+    """How many frames or lines were damaged, apart from the first, which may have begun before we listened."""
 
     def feed(self, data: bytes, /) -> Sequence[Message]:
         """Take bytes; return the messages that are complete with them."""

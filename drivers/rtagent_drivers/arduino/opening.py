@@ -84,8 +84,8 @@ def check_time(settings: Settings, hello: Hello) -> None:
     """Raise `DeviceError` where a board cannot measure as often as it is to."""
     if hello.scan > settings.period:
         raise DeviceError(
-            f"the board takes {describe(hello.scan)} to measure its {len(hello.channels)} channels, but is to do so "
-            f"every {describe(settings.period)}: lower the rate, or have the sketch measure fewer."
+            f"the board takes {describe(hello.scan)} to measure its {len(hello.channels)} channels, but is to do "
+            f"so every {describe(settings.period)}: lower the rate, or have the sketch measure fewer."
         )
 
 
@@ -145,8 +145,8 @@ def _what_is_wrong(link: Link, settings: Settings) -> str:
         )
     if settings.layout.legacy or not spoken_format(link.raw):
         return (
-            f"{len(link.raw)} bytes came from the board at {where}, but at {settings.bits} baud they make no sense: "
-            "its sketch uses another baud rate, or is another sketch."
+            f"{len(link.raw)} bytes came from the board at {where}, but at {settings.bits} baud they make no "
+            "sense: its sketch uses another baud rate, or is another sketch."
         )
     return (
         f"the board at {where} sent scans but no hello, though it was asked: reset it, or upload its sketch anew."

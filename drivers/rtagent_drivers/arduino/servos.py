@@ -1,4 +1,4 @@
-"""Servos on their way: where each is to be by now, and the bytes that say so. No I/O; times in ns, angles in rad."""
+"""Servos on their way: where each is to be, and the bytes that say so. No I/O; times in ns, angles in rad."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Ramp:
         self._began = self._ends = 0
 
     def go(self, goal: float, now: int) -> float:
-        """Go to `goal`, or as far as the limits allow; return that. The first way begins at `start`, or at its end."""
+        """Go to `goal` as far as the limits allow; return that. The first way begins at `start`, or at its end."""
         goal = min(max(goal, self._servo.least), self._servo.greatest)
         if not self.known:
             start = self._servo.start
@@ -65,7 +65,7 @@ class ServoBank:
             ramp.forget()
 
     def go(self, name: str, goal: float, now: int) -> float:
-        """Send a servo on its way; return its goal within the limits. A legacy board is told of all: to their start."""
+        """Send a servo on its way; return its goal within the limits. On a legacy board the others start, too."""
         if self.legacy:
             for other, ramp in self._ramps.items():
                 start = self._servos[other].start

@@ -1,4 +1,4 @@
-"""The settings of a board, and what follows from them: the device's spec, and which of the board's pins mean what."""
+"""The settings of a board, and what follows from them: the device's spec, and what its pins mean."""
 
 from __future__ import annotations
 
@@ -111,9 +111,9 @@ class Servo:
 class FakeSettings:
     """How the driver's fakes behave.
 
-    `body` is what is on the pins: a hand whose joints follow its servos, or a glove that makes gestures (without it:
-    a hand where there are servos). `faults` are those of a fake in the process, `wire` those of an emulated board
-    (see `rtagent emulate`), each as JSON. `drift` is by how much the emulated board's clock is fast.
+    `body` is what is on the pins: a hand whose joints follow its servos, or a glove that makes gestures (without
+    it: a hand where there are servos). `faults` are those of a fake in the process, `wire` those of an emulated board
+    (see `rtagent emulate`), each as JSON. `drift` says by how much the emulated clock is fast.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS

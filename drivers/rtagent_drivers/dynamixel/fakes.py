@@ -157,7 +157,12 @@ def _started(command: Sequence[str]) -> subprocess.Popen[str]:
     """Return the emulator's process once its link is there; raise `DeviceError` with what it says where it ends."""
     pipe = subprocess.PIPE
     process = subprocess.Popen(  # noqa: S603  # our own module, with our own Python
-        command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True  # Ctrl-C is not for it
+        command,
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,  # Ctrl-C is not for it
     )
     assert process.stdout is not None, "it was asked for"
     if not process.stdout.readline():

@@ -47,6 +47,7 @@ PAUSE = 0.005
 
 LONGEST_RETURN_DELAY = 508_000
 
+
 @dataclass(frozen=True)
 class Servo:
     """A servo to be made safe."""

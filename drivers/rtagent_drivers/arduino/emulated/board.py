@@ -48,7 +48,7 @@ class EmulatedBoard:
     ) -> None:
         self._make, self.body, self._line_baud, self._log = make, body, line_baud, log
         self._layout = LAYOUTS[make.format]
-        self._there_since = now
+        self._there_since = self._advanced_to = now
         self.trouble = Trouble(make.faults)
         self.overridden: dict[str, int] = {}
         self._said: list[tuple[int, bytes]] = []
@@ -76,7 +76,7 @@ class EmulatedBoard:
             self.body.turn(now, servo, None)
 
     def receive(self, now: int, data: bytes, baud: int) -> None:
-        """Take what the host says; at another rate than the board's it is noise, and before it has started nothing."""
+        """Take what the host says, unless it comes at another rate than the board's, or before it has started."""
         self._advance(now)
         if now < self._started_at or baud != self._make.baud:
             return
@@ -105,9 +105,9 @@ class EmulatedBoard:
         ready = [data for time, data in self._said if time <= now]
         del self._said[: len(ready)]
         data = b"".join(ready)
-        if data and self._line_baud() != self._make.baud:
-            return self.trouble.garbage(len(data))
-        return data
+        if not data or self.unplugged:
+            return b""
+        return data if self._line_baud() == self._make.baud else self.trouble.garbage(len(data))
 
     @property
     def unplugged(self) -> bool:

@@ -141,7 +141,9 @@ def read_fault(text: str) -> Fault:
 
 
 def _fault(told: dict[str, Any], since: int) -> Fault:
-    times = {name: TIME.parse(told[name]) for name in ("begin", "duration", "delay") if name in told}
+    times: dict[str, Any] = {
+        name: TIME.parse(told[name]) for name in ("begin", "duration", "delay") if name in told
+    }
     fault = Fault(**{**told, **times})
     return replace(fault, begin=fault.begin + since)
 
