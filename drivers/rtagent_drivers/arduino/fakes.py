@@ -26,6 +26,7 @@ from rtagent.experience import Command, Stimulus, Values
 from rtagent.specs import Value
 from rtagent_drivers.arduino.bodies import FASTEST, Body, Glove, Hand
 from rtagent_drivers.arduino.driver import Arduino, ArduinoWithServos
+from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
 from rtagent_drivers.fake import FakeDevice, Sampling
 
@@ -42,10 +43,13 @@ class BoardWorld:
         self._settings, self._body = settings, body
         self._servos = {actuator(name): servo for name, servo in settings.servos.items()}
         self._numbers = {name: number for number, name in enumerate(self._servos)}
+        self._ramps = {name: Ramp(servo) for name, servo in self._servos.items()}
 
     def begin(self, now: int, rng: Generator) -> None:
         """Begin an episode; servos that have a start are there."""
         self._body.begin(now, rng)
+        for ramp in self._ramps.values():
+            ramp.forget()
         for name, servo in self._servos.items():
             if servo.start is not None:
                 self._turn(now, name, servo.start)
@@ -71,11 +75,14 @@ class BoardWorld:
 
     def make_safe(self, now: int) -> None:
         """Let go of all servos, or have them stay."""
-        for number in self._numbers.values():
-            self._body.turn(now, number, None)
+        holds = self._settings.stop == "hold"
+        for name, ramp in self._ramps.items():
+            held = self._servos[name].fraction(ramp.at(now)) if holds and ramp.known else None
+            self._body.turn(now, self._numbers[name], held)
 
     def _turn(self, now: int, name: str, goal: float) -> None:
         servo = self._servos[name]
+        self._ramps[name].go(goal, now)
         self._body.turn(now, self._numbers[name], servo.fraction(goal), _speed(servo))
 
 

@@ -21,7 +21,7 @@ from rtagent_drivers.raw_line import open_line, read_some
 WITHIN = 2.5
 """Seconds in which it tries: opening the port may have reset the board, which then needs some two to start."""
 
-PATIENCE, PAUSE = 0.1, 0.005
+PATIENCE, PAUSE = 0.03, 0.005
 LINE_ERRORS = (OSError, termios.error)
 
 

@@ -112,8 +112,8 @@ class FakeSettings:
     """How the driver's fakes behave.
 
     `body` is what is on the pins: a hand whose joints follow its servos, or a glove that makes gestures (without
-    it: a hand where there are servos). `faults` are those of a fake in the process, `wire` those of an emulated board
-    (see `rtagent emulate`), each as JSON. `drift` says by how much the emulated clock is fast.
+    it: a hand where there are servos). `faults` are those of a fake in the process, `wire` those of an emulated
+    board (see `rtagent emulate`), each as JSON. `drift` says by how much the emulated clock is fast.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS
