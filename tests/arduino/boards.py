@@ -16,9 +16,7 @@ from rtagent_drivers.arduino.settings import Channel, Servo
 NUMBERS = itertools.count()
 
 FINGERS: Mapping[str, Channel] = {f"finger{number}": Channel(f"A{number}") for number in range(6)}
-HAND: Mapping[str, Channel] = {
-    name.lower(): Channel(pin, inverted=pin == "2") for name, pin in HANDI_PINS.items()
-}
+HAND: Mapping[str, Channel] = {name.lower(): Channel(pin, inverted=pin == "2") for name, pin in HANDI_PINS.items()}
 SERVOS: Mapping[str, Servo] = {f"digit{number}": Servo(pin) for number, pin in enumerate(HANDI_SERVOS)}
 
 

@@ -22,7 +22,7 @@ from rtagent_drivers.arduino.settings import Channel, Servo, Settings, value
         ({"channels": {}}, "name the channels"),
         ({"baud": 115_200}, "does not have 115200 baud exactly: take 250kbaud"),
         ({"baud": 921_600}, "does not have 921600 baud exactly"),
-        ({"rate": 2000.0, "baud": 250_000}, "23 bytes × 10 bits × 2000 Hz = 460 kbit/s, more than 250000 baud carry"),
+        ({"rate": 2000.0, "baud": 250_000}, "23 bytes × 10 bits × 2000 Hz = 460 kbit/s, too much for 250000 baud"),
         ({"rate": 0.0}, "give how often"),
         ({"channels": {"x": Channel("B1")}}, "'B1' is no pin"),
         ({"channels": {"x": Channel("A1"), "y": Channel("A1")}}, "two channels are on pin A1"),

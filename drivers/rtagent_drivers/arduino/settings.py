@@ -221,7 +221,7 @@ def check_load(channels: int, rate: float, bits: int) -> None:
     if bits and needed > FULL_LINE * bits:
         raise SpecError(
             f"{channels} channels at {rate:g} Hz are {FRAME_BYTES + 2 * channels} bytes × {BITS_A_BYTE} bits × "
-            f"{rate:g} Hz = {needed / 1000:.0f} kbit/s, more than {bits} baud carry: lower the rate, or raise baud."
+            f"{rate:g} Hz = {needed / 1000:.0f} kbit/s, too much for {bits} baud: lower the rate, or raise baud."
         )
 
 

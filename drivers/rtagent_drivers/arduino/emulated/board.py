@@ -17,8 +17,11 @@ from rtagent_drivers.arduino.layouts import HANDI_PINS, LAYOUTS, Format
 from rtagent_drivers.arduino.messages import Hello, Safety, ServoState
 from rtagent_drivers.arduino.settings import BITS_A_BYTE
 
-SCAN_TIME = 112 * us
-"""What the converter takes for a channel, with its usual clock."""
+READING_TIMES = [116 * us, 60 * us, 32 * us, 18 * us]
+"""What a channel takes with each clock of the converter; the slowest is used that leaves half of the period."""
+
+ENCODING = 130 * us
+"""What the sketch takes to make a frame of its readings."""
 
 PULSES = 544, 2400
 """The pulses (µs) at the ends of a servo's range."""
@@ -141,14 +144,15 @@ class EmulatedBoard:
             data = frames.scan(readings, self._number % 65536, self._micros(taken))
         self._note({"scan": self._number, "time": taken})
         self._number += 1
-        self._say(time + self._scan_time, data)
+        self._say(time + self._scan_time + ENCODING, data)
 
     def _reading(self, pin: str, time: int) -> int:
         return self.overridden.get(pin, self.body.reading(pin, time))
 
     @property
     def _scan_time(self) -> int:
-        return min(len(self._make.channels) * SCAN_TIME, self._hello.period // 2)
+        times = [len(self._make.channels) * each for each in READING_TIMES]
+        return next((time for time in times if time <= self._hello.period // 2), times[-1])
 
     def _micros(self, time: int) -> int:
         return int((time - self._started_at) * (1.0 + self._make.drift)) // us % (1 << 32)
@@ -163,8 +167,8 @@ class EmulatedBoard:
 
     def _say_hello(self, now: int, *, started: bool) -> None:
         if not self._layout.legacy:
-            lag = self._scan_time - self._scan_time // 2
-            told = self._hello._replace(started=started, scan=self._scan_time, lag=lag)
+            takes = self._scan_time + ENCODING
+            told = self._hello._replace(started=started, scan=takes, lag=takes - self._scan_time // 2)
             self._say(now, frames.hello(told))
 
     def _say_state(self, now: int) -> None:
