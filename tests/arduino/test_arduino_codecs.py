@@ -91,7 +91,7 @@ def test_what_is_stuffed_has_no_zero_and_comes_back(data: bytes) -> None:
 
 def test_a_frame_is_as_the_sketch_makes_it() -> None:
     assert crc_hqx(b"123456789", 0xFFFF) == 0x29B1, "the check of CRC-16/CCITT-FALSE"
-    assert frames.MAKE_SAFE == bytes([4, ord("s"), *crc_hqx(b"s", 0xFFFF).to_bytes(2, "little"), 0])
+    assert bytes([4, ord("s"), *crc_hqx(b"s", 0xFFFF).to_bytes(2, "little"), 0]) == frames.MAKE_SAFE
     recorded = "02 53 01 03 f2 28 01 01 01 01 01 01 01 03 09 03 01 01 01 03 07 8d 00"  # of a sketch under simavr
     assert fed("rtagent", b"\0", bytes.fromhex(recorded)) == [Scan((0, 0, 0, 777, 0, 0), 0, 10482)]
 

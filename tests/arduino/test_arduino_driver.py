@@ -165,7 +165,7 @@ async def test_a_board_of_another_sketch_is_told(
     said = await said_when_opened(arduino(port=glove.port, channels={"x": Channel("A9")}))
     assert "no channels on A9; it has A0, A1, A2, A3, A4, A5" in said
     said = await said_when_opened(glove_driver(glove.port, rate=4500.0, baud="usb"))
-    assert "takes 238 µs to measure its 6 channels, but is to do so every 222 µs: lower the rate" in said
+    assert "takes 606 µs for its 6 channels, but is to measure them every 222 µs: lower the rate" in said
     said = await said_when_opened(glove_driver(glove.port, rate=4500.0, channels={"x": Channel("A1")}))
     assert "the board sends all its channels: 6 channels at 4500 Hz are 23 bytes × 10 bits" in said
     said = await said_when_opened(arduino(port=legacy_hand.port, channels=FINGERS, baud=None))

@@ -38,7 +38,7 @@ from rtagent_drivers.arduino.settings import Channel, Servo, Settings, value
 )
 def test_settings_that_cannot_be_are_refused_with_a_sentence(settings: Mapping[str, Any], said: str) -> None:
     with pytest.raises(SpecError, match=said.replace("(", r"\(")):
-        arduino(**{"port": "x", "channels": {} if "format" in settings else FINGERS, **settings})  # type: ignore[arg-type]
+        arduino(**{"port": "x", "channels": {} if "format" in settings else FINGERS, **settings})
 
 
 @pytest.mark.parametrize(

@@ -84,8 +84,8 @@ def check_time(settings: Settings, hello: Hello) -> None:
     """Raise `DeviceError` where a board cannot measure as often as it is to."""
     if hello.scan > settings.period:
         raise DeviceError(
-            f"the board takes {describe(hello.scan)} to measure its {len(hello.channels)} channels, but is to do "
-            f"so every {describe(settings.period)}: lower the rate, or have the sketch measure fewer."
+            f"the board takes {describe(hello.scan)} for its {len(hello.channels)} channels, but is to measure "
+            f"them every {describe(settings.period)}: lower the rate, or have the sketch measure fewer."
         )
 
 

@@ -15,13 +15,13 @@ from rtagent_drivers.arduino.bodies import Body
 from rtagent_drivers.arduino.emulated.faults import Fault, Trouble
 from rtagent_drivers.arduino.layouts import HANDI_PINS, LAYOUTS, Format
 from rtagent_drivers.arduino.messages import Hello, Safety, ServoState
-from rtagent_drivers.arduino.settings import BITS_A_BYTE
+from rtagent_drivers.arduino.settings import BITS_A_BYTE, FRAME_BYTES
 
 READING_TIMES = [116 * us, 60 * us, 32 * us, 18 * us]
-"""What a channel takes with each clock of the converter; the slowest is used that leaves half of the period."""
+"""What a channel takes with each clock of the converter; the slowest is used that leaves time for the rest."""
 
-ENCODING = 130 * us
-"""What the sketch takes to make a frame of its readings."""
+ENCODING, SENDING = 130 * us, 16 * us
+"""What the sketch takes to make a frame of its readings, and to send each byte of it."""
 
 PULSES = 544, 2400
 """The pulses (µs) at the ends of a servo's range."""
@@ -152,7 +152,12 @@ class EmulatedBoard:
     @property
     def _scan_time(self) -> int:
         times = [len(self._make.channels) * each for each in READING_TIMES]
-        return next((time for time in times if time <= self._hello.period // 2), times[-1])
+        left = self._hello.period * 9 // 10 - ENCODING - self._sending_time
+        return next((time for time in times if time <= left), times[-1])
+
+    @property
+    def _sending_time(self) -> int:
+        return (FRAME_BYTES + 2 * len(self._make.channels)) * SENDING
 
     def _micros(self, time: int) -> int:
         return int((time - self._started_at) * (1.0 + self._make.drift)) // us % (1 << 32)
@@ -167,8 +172,9 @@ class EmulatedBoard:
 
     def _say_hello(self, now: int, *, started: bool) -> None:
         if not self._layout.legacy:
-            takes = self._scan_time + ENCODING
-            told = self._hello._replace(started=started, scan=takes, lag=takes - self._scan_time // 2)
+            ready = self._scan_time + ENCODING
+            takes, lag = ready + self._sending_time, ready - self._scan_time // 2
+            told = self._hello._replace(started=started, scan=takes, lag=lag)
             self._say(now, frames.hello(told))
 
     def _say_state(self, now: int) -> None:

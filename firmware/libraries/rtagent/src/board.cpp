@@ -8,6 +8,8 @@ const uint8_t Analog = 0x80;  // marks analog pins in a hello
 const uint32_t ShortestPeriod = 200;
 const uint8_t AdcCycles = 14;  // of its own clock for a conversion; 13 and the wait for the next one to begin
 const uint8_t ReadingCycles = 60;  // of the processor's, for what stands around a conversion
+const uint8_t EncodingTime = 130, SendingTime = 16;  // µs for a frame of readings, and for each byte of it
+const uint8_t FrameBytes = 11;                       // beside the readings
 
 bool is_analog(uint8_t pin) { return pin >= A0; }
 
@@ -28,10 +30,12 @@ void Board::configure(const Settings &settings) {
   due_ = micros() + settings_.period;
 }
 
-// The slowest clock of the converter, which is the most exact, with which a scan takes half of the period at most.
+// The slowest clock of the converter, which is the most exact, that leaves time for everything else.
 void Board::choose_adc_clock() {
+  const uint32_t others = EncodingTime + SendingTime * (FrameBytes + 2 * count_);
+  const uint32_t left = settings_.period / 10 * 9;
+  const uint32_t cycles = left > others ? (left - others) * (F_CPU / 1000000) / count_ : 0;
   uint8_t prescaler = 7;  // the processor's clock by 2 to the power of this
-  const uint32_t cycles = settings_.period / 2 * (F_CPU / 1000000) / count_;
   while (prescaler > 4 && (uint32_t(AdcCycles) << prescaler) + ReadingCycles > cycles) prescaler--;
   ADCSRA = (ADCSRA & ~7) | prescaler;
 }
@@ -109,7 +113,7 @@ uint16_t Board::measure(uint8_t channel) const {
   return is_analog(pin) ? analogRead(pin) : digitalRead(pin);
 }
 
-// Tells also how long a scan takes, and how long after its time a frame is ready to be sent: both are measured.
+// Tells also how long a scan takes, sending included, and how long after its time a frame is ready to be sent.
 void Board::say_hello(bool started) {
   const uint32_t began = micros();
   Frame trial(Scan);
@@ -120,7 +124,7 @@ void Board::say_hello(bool started) {
   frame.put8(Version);
   frame.put8(started);
   frame.put32(settings_.period);
-  frame.put16(ended - began);
+  frame.put16(ended - began + SendingTime * (FrameBytes + 2 * count_));
   frame.put16(ended - middle);
   frame.put16(settings_.heartbeat);
   frame.put8(settings_.stop);
