@@ -6,7 +6,8 @@ All is a function of time; nothing asks what time it is. Readings are those of a
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import accumulate
 from typing import NamedTuple, Protocol
 
@@ -96,15 +97,22 @@ class Digit:
 
 
 class Hand:
-    """A hand of six digits in which something lies now and then; its button is pressed now and then, too."""
+    """A hand of six digits in which something lies now and then; its button is pressed now and then, too.
 
-    def __init__(self) -> None:
+    Its digits follow their servos, or with `grasps` close and open by themselves.
+    """
+
+    CLOSING = 600 * ms
+
+    def __init__(self, *, grasps: bool = False) -> None:
+        self._grasps = grasps
         self.begin(0, np.random.default_rng(0))
 
     def begin(self, now: int, rng: Generator) -> None:
         """Open the hand, and draw when something lies in it and when its button is pressed."""
         self._digits = [Digit(now) for _ in range(6)]
         self._object = Rhythm(now, _spans(rng, 2 * second, 4 * second))
+        self._grasp = Rhythm(now, _spans(rng, 1 * second, 3 * second))
         self._button = Rhythm(now, _alternating(rng, (2 * second, 6 * second), (200 * ms, 500 * ms)))
 
     def turn(self, now: int, servo: int, goal: float | None, speed: float = FASTEST) -> None:
@@ -124,14 +132,21 @@ class Hand:
         return 0
 
     def _place(self, digit: int, time: int) -> float:
-        place = self._digits[digit].way(time).at(time)
+        place, _ = self._aim(digit, time)
         return min(place, CONTACT) if self._holds(time) else place
 
     def _force(self, digit: int, time: int) -> float:
-        way = self._digits[digit].way(time)
-        if way.limp or not self._holds(time):
-            return 0.0
-        return min(1.0, STIFFNESS * max(0.0, way.at(time) - CONTACT))
+        place, limp = self._aim(digit, time)
+        return 0.0 if limp or not self._holds(time) else min(1.0, STIFFNESS * max(0.0, place - CONTACT))
+
+    def _aim(self, digit: int, time: int) -> tuple[float, bool]:
+        """Return where a digit would be if nothing were in its way, and whether it is limp."""
+        if not self._grasps:
+            way = self._digits[digit].way(time)
+            return way.at(time), way.limp
+        number, since = self._grasp.at(time)
+        closed = minimum_jerk(since / self.CLOSING)
+        return closed if number % 2 else 1.0 - closed, False
 
     def _holds(self, time: int) -> bool:
         return bool(self._object.at(time)[0] % 2)
@@ -160,14 +175,26 @@ class Glove:
             return 0
         finger = BENDS.index(pin)
         number, since = self._gestures.at(time)
-        done = min(1.0, since / self.MOVING)
-        share = done**3 * (10.0 - 15.0 * done + 6.0 * done**2)
+        share = minimum_jerk(since / self.MOVING)
         bend = (1.0 - share) * self._bends[number - 1, finger] + share * self._bends[number, finger]
         return _noisy(LEAST + (MOST - LEAST) * bend, pin, time)
 
 
+BODIES: Mapping[str, Callable[[], Body]] = {
+    "hand": Hand,
+    "grasping": partial(Hand, grasps=True),
+    "glove": Glove,
+}
+"""What may be on the pins, by the names that settings give it."""
+
 FIELDS = {pin: field for field, pin in HANDI_PINS.items()}
 BENDS = tuple(f"A{number}" for number in range(6))
+
+
+def minimum_jerk(done: float) -> float:
+    """Return which part of its way a limb has gone after a part of its time (Flash and Hogan 1985)."""
+    done = min(1.0, done)
+    return done**3 * (10.0 - 15.0 * done + 6.0 * done**2)
 
 
 def _spans(rng: Generator, least: int, most: int) -> list[int]:

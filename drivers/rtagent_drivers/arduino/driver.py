@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
-from types import MappingProxyType
 from typing import Any, Literal
 
 from numpy.random import Generator
@@ -36,7 +35,6 @@ SAFE_WITHIN = 3 * second
 
 ATTEMPT, ATTEMPTS = 100 * ms, 9
 FIRST_SCAN = 1 * second
-NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Arduino:
@@ -364,8 +362,8 @@ def arduino(
     port: str,
     format: Format = "rtagent",  # noqa: A002  # what scenarios call it
     baud: Baud | Literal["usb"] | None = None,
-    channels: Mapping[str, Channel] = NONE,
-    servos: Mapping[str, Servo] = NONE,
+    channels: Mapping[str, Channel] | None = None,
+    servos: Mapping[str, Servo] | None = None,
     rate: Frequency | None = None,
     heartbeat: Duration = 200 * ms,
     stop: Stop = "detach",
@@ -378,8 +376,9 @@ def arduino(
     them safe by its own when it has heard nothing for `heartbeat`, and when it is told to: it gives no more pulses
     (`stop` = "detach"), or goes on with those of the moment ("hold"). A servo is commanded by its angle (rad).
     """
-    settings = Settings(port, format, baud, channels, servos, rate, heartbeat, stop, fake)
-    return ArduinoWithServos(settings) if servos else Arduino(settings)
+    given = {"port": port, "format": format, "baud": baud, "channels": channels, "servos": servos, "rate": rate}
+    settings = Settings.of(**given, heartbeat=heartbeat, stop=stop, fake=fake)
+    return ArduinoWithServos(settings) if settings.servos else Arduino(settings)
 
 
 def _in_process(**settings: Any) -> Device:

@@ -24,7 +24,7 @@ from rtagent.device import LastResort
 from rtagent.errors import DeviceError
 from rtagent.experience import Command, Stimulus, Values
 from rtagent.specs import Value
-from rtagent_drivers.arduino.bodies import FASTEST, Body, Glove, Hand
+from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
 from rtagent_drivers.arduino.driver import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
@@ -107,9 +107,9 @@ class FakeBoard(FakeDevice):
 
 def in_process(**given: Any) -> FakeBoard:
     """Return a board with the driver's settings that needs no wire, and works under the virtual clock."""
-    settings = Settings(**given)
-    body: Body = Hand() if _has_hand(settings) else Glove()
-    return FakeBoard(BoardWorld(settings, body), Sampling(settings.hertz), settings.fake.faults)
+    settings = Settings.of(**given)
+    world = BoardWorld(settings, BODIES[settings.body]())
+    return FakeBoard(world, Sampling(settings.hertz), settings.fake.faults)
 
 
 class Emulation:
@@ -167,17 +167,14 @@ class EmulatedArduinoWithServos(ArduinoWithServos):
 
 def on_wire(**given: Any) -> Arduino:
     """Return the driver with these settings on an emulated board, on a pseudo-terminal."""
-    settings = Settings(**given)
+    settings = Settings.of(**given)
     return EmulatedArduinoWithServos(settings) if settings.servos else EmulatedArduino(settings)
 
 
-def _has_hand(settings: Settings) -> bool:
-    return settings.fake.body == "hand" or (not settings.fake.body and bool(settings.servos))
-
-
 def _command(settings: Settings, link: Path) -> list[str]:
-    board = "handi" if _has_hand(settings) else "glovi"
+    board = "glovi" if settings.body == "glove" else "handi"
     command = [sys.executable, "-m", EMULATOR, board, "--link", str(link), "--linger", LINGER]
+    command += ["--body", settings.body]
     command += ["--format", settings.format, "--rate", f"{settings.hertz!r}Hz", "--baud", f"{settings.bits}baud"]
     command += ["--drift", repr(settings.fake.drift)]
     if not settings.layout.legacy:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, pi
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.specs import DeviceSpec, Spec
@@ -111,14 +111,15 @@ class Servo:
 class FakeSettings:
     """How the driver's fakes behave.
 
-    `body` is what is on the pins: a hand whose joints follow its servos, or a glove that makes gestures (without
-    it: a hand where there are servos). `faults` are those of a fake in the process, `wire` those of an emulated
-    board (see `rtagent emulate`), each as JSON. `drift` says by how much the emulated clock is fast.
+    `body` is what is on the pins: a hand whose joints follow its servos, one that is grasping by itself, or a glove
+    that makes gestures (without it: a hand where there are servos, else a glove). `faults` are those of a fake in
+    the process, `wire` those of an emulated board (see `rtagent emulate`), each as JSON; `drift` says by how much
+    the emulated clock is fast.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS
 
-    body: Literal["", "hand", "glove"] = ""
+    body: Literal["", "hand", "grasping", "glove"] = ""
     drift: float = 0.0
     faults: Faults = field(default_factory=Faults)
     wire: tuple[str, ...] = ()
@@ -147,6 +148,11 @@ class Settings:
             check_baud(self.bits)
             check_load(len(self.inputs), self.hertz, 0 if self.baud == "usb" else self.bits)
 
+    @classmethod
+    def of(cls, **given: Any) -> Settings:
+        """Return settings; what is None is left to its default."""
+        return cls(**{name: value for name, value in given.items() if value is not None})
+
     @property
     def layout(self) -> Layout:
         """The format that the board speaks."""
@@ -173,6 +179,11 @@ class Settings:
         if self.channels or not self.layout.legacy:
             return self.channels
         return {pin: Channel(pin) for pin in self.layout.channels}
+
+    @property
+    def body(self) -> str:
+        """What is on the pins of a fake."""
+        return self.fake.body or ("hand" if self.servos else "glove")
 
     @property
     def pins(self) -> Sequence[str]:

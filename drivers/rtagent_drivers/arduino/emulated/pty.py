@@ -24,7 +24,7 @@ import numpy as np
 from rtagent.clock import RealClock
 from rtagent.errors import RtagentError, SpecError
 from rtagent.units import BAUD, FREQUENCY, TIME
-from rtagent_drivers.arduino.bodies import Body, Glove, Hand
+from rtagent_drivers.arduino.bodies import BODIES, Body
 from rtagent_drivers.arduino.emulated.board import GLOVE, HAND, EmulatedBoard, Log, Make
 from rtagent_drivers.arduino.emulated.faults import Fault
 from rtagent_drivers.arduino.emulated.openings import Openings
@@ -71,7 +71,7 @@ def _emulate(given: argparse.Namespace) -> None:
     terminal = Terminal(given.link)
     with _log(given.log) as log, contextlib.suppress(SystemExit):
         now = RealClock.now()
-        body: Body = Hand() if given.board == "handi" else Glove()
+        body = BODIES[given.body or ("hand" if given.board == "handi" else "glove")]()
         body.begin(now, np.random.default_rng(given.seed))
         board: EmulatedBoard = ResetByOpening(
             _make(given), body, now, terminal.baud, log, Openings(given.link) if given.auto_reset else None
@@ -175,6 +175,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("board", choices=["handi", "glovi"])
     parser.add_argument("--link", type=Path, required=True, help="the name under which programs find the board")
     parser.add_argument("--format", choices=list(LAYOUTS), default="rtagent", help="which sketch it runs")
+    parser.add_argument("--body", choices=list(BODIES), help="what is on its pins")
     parser.add_argument("--channels", metavar="PINS", help="the pins of its channels, such as 2,A2,A3")
     parser.add_argument("--servos", metavar="PINS", help="the pins of its servos, such as 3,5")
     parser.add_argument("--rate", type=FREQUENCY.parse, help="how often it measures until it is told, such as 70Hz")
