@@ -67,9 +67,13 @@ class Simulated:
 
     def tell(self, order: str) -> int:
         """Give an order, such as "adc 3 512"; return the board's time at which it was obeyed."""
+        self.order(order)
+        return int(self._obeyed.get(timeout=10)["time"])
+
+    def order(self, order: str) -> None:
+        """Give an order, and leave its answer to the next one that waits."""
         assert self._process.stdin is not None
         self._process.stdin.write(order + "\n")
-        return int(self._obeyed.get(timeout=10)["time"])
 
     def pulse(self, pin: int) -> float:
         """Return the pulses (µs; 0: none) that a servo of the hand gets now."""
