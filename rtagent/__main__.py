@@ -104,7 +104,9 @@ def _add_devices(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     devices.add_argument("--port", action="append", default=[], metavar="PATH", help="look there (may be repeated)")
     devices.add_argument("--ids", type=_ids, metavar="IDS", help="on buses look for these only, such as 1-5,9")
     devices.add_argument("--bauds", type=_bauds, metavar="RATES", help="at these rates, such as 1000000,57600")
-    devices.add_argument("--mend", action="store_true", help="set what can be set, such as return delays to 0")
+    devices.add_argument(
+        "--mend", action="store_true", help="mend what can be mended so: return delays, latched shutdowns"
+    )
     devices.add_argument("--json", action="store_true", help="print JSON instead")
     devices.set_defaults(command=_devices)
 

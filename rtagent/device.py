@@ -119,9 +119,11 @@ class SpareHandle(Protocol):
 class Guarded(Protocol):
     """A device that moves something real: it is watched from outside the process, and latched once stopped."""
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe from outside; asked again after each `open`, when a port may have been found."""
+        """Return how to make it safe from outside; asked again after each `open`, when a port may have been found.
+
+        Raises `DeviceError` where nothing is found that could be made safe.
+        """
 
 
 @runtime_checkable

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtagent import latched, living
-from rtagent.device import Device, Guarded, LastResort
+from rtagent.device import Device, Guarded
 from rtagent.errors import DeviceError, StoppedError
 from rtagent.latch import Latch
 from rtagent.units import ms
@@ -40,6 +40,7 @@ class Protection:
         self._process: WatchdogProcess | None = None
         self.begun = False
         """Whether anything may have moved, so that ending early latches the hardware."""
+        self._look_for_hardware()
         self._refuse_latched()
 
     @property
@@ -49,18 +50,20 @@ class Protection:
 
     async def arm(self) -> None:
         """Begin to protect, when the devices are open and nothing has moved; raise an error where that fails."""
+        self._look_for_hardware()
         self._refuse_latched()
         if self._latch.fd < 0:
             raise DeviceError("this system has no shared memory for the watchdog, so nothing may move: use Linux.")
         self._stack.enter_context(living.told(self._watchdog.scenario, self._hardware()))
         process = WatchdogProcess(self._watchdog.timeout, self._watchdog.scenario, self._latch, self._told)
         self._process = process
-        await process.start(self._resorts())
+        await process.start(self._resorts)
 
     async def renew(self) -> None:
         """Have the watchdog reach devices where they are now: after one was opened anew."""
         if self._process is not None:
-            await self._process.guard(self._resorts())
+            self._look_for_hardware()
+            await self._process.guard(self._resorts)
 
     async def save(self, failed: Mapping[str, str]) -> list[str]:
         """Have the watchdog make safe what failed to be, by the names of devices; return what is still not safe."""
@@ -87,11 +90,12 @@ class Protection:
             except OSError as error:
                 self._told(f"that {hardware} is latched cannot be kept: {error}")
 
-    def _resorts(self) -> dict[str, LastResort]:
-        return {name: device.last_resort for name, device in self._guarded.items()}
+    def _look_for_hardware(self) -> None:
+        """Note where it is now: at the end of a run it may not be there any more."""
+        self._resorts = {name: device.last_resort() for name, device in self._guarded.items()}
 
     def _hardware(self) -> list[str]:
-        return [resort.hardware for resort in self._resorts().values()]
+        return [resort.hardware for resort in self._resorts.values()]
 
     def _refuse_latched(self) -> None:
         entries = [entry for hardware in self._hardware() if (entry := latched.find(hardware)) is not None]

@@ -281,9 +281,10 @@ class DeviceContract:
         async def check(device: Device) -> None:
             if not isinstance(device, Guarded):
                 return
-            must(isinstance(device.last_resort.hardware, str), "last_resort.hardware must be a name, or empty.")
-            settings = json.loads(json.dumps(dict(device.last_resort.settings)))
-            resort = Resort("device", device.last_resort.function, settings)
+            told = device.last_resort()
+            must(isinstance(told.hardware, str), "last_resort.hardware must be a name, or empty.")
+            settings = json.loads(json.dumps(dict(told.settings)))
+            resort = Resort("device", told.function, settings)
             for _ in range(2):
                 not_safe = await asyncio.to_thread(resort.make_safe)
                 must(not not_safe, f"its last resort could not make it safe: {' '.join(not_safe)}")

@@ -106,7 +106,9 @@ TIME = Quantity(
 FREQUENCY = Quantity("frequency", {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6})
 ANGLE = Quantity("angle", {"rad": 1.0, "turn": 2 * math.pi, "deg": degree})
 ANGULAR_VELOCITY = Quantity("angular velocity", {"rad/s": 1.0, "rpm": 2 * math.pi / 60, "deg/s": degree})
-ANGULAR_ACCELERATION = Quantity("angular acceleration", {"rad/s²": 1.0, "deg/s²": degree})
+ANGULAR_ACCELERATION = Quantity(
+    "angular acceleration", {"rad/s²": 1.0, "deg/s²": degree, "rad/s2": 1.0, "deg/s2": degree}
+)
 LENGTH = Quantity("length", {"m": 1.0, "mm": 1e-3, "cm": 1e-2})
 SPEED = Quantity("speed", {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2})
 BAUD = Quantity("baud rate", {"baud": 1, "kbaud": 1_000, "Mbaud": 1_000_000}, whole=True)

@@ -74,7 +74,10 @@ class Guarded(FakeDevice):
     ) -> None:
         super().__init__(stopping_joint().world)
         self.file, self.limit, self.jammed, self.commands = file, limit, jammed or broken, 0
-        self.last_resort = LastResort("guarded:spare", {"file": file, "broken": broken}, hardware or file)
+        self.resort = LastResort("guarded:spare", {"file": file, "broken": broken}, hardware or file)
+
+    def last_resort(self) -> LastResort:
+        return self.resort
 
     async def act(self, command: Command) -> Command:
         self.commands += 1

@@ -185,7 +185,8 @@ class RestlessEvent(Good):
 
 
 class CannotBeReached(Good):
-    last_resort = LastResort("guarded:missing", {}, "")
+    def last_resort(self) -> LastResort:
+        return LastResort("guarded:missing", {}, "")
 
 
 class CountsInSeconds(Good):

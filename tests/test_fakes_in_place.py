@@ -41,7 +41,9 @@ class Motor:
 
     def __init__(self, *, velocity: AngularVelocity = 1.0) -> None:
         self.spec = stopping_joint(velocity=velocity).spec
-        self.last_resort = LastResort("nobody:nothing", {}, "the motor")
+
+    def last_resort(self) -> LastResort:
+        return LastResort("nobody:nothing", {}, "the motor")
 
 
 class Camera:

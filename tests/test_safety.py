@@ -21,6 +21,7 @@ from parts import sarsa_agent
 
 from rtagent import Limits, Plan, Result, RunError, Schedule, clock, latched, living, ms, run, second
 from rtagent.__main__ import main
+from rtagent.device import LastResort
 from rtagent.errors import ClockError, DeviceError, ScenarioError, StoppedError
 from rtagent.instruments import Instrument
 from rtagent.latch import Latch
@@ -220,7 +221,7 @@ def test_nothing_moves_without_a_watchdog(hardware: Path) -> None:
 
 def test_a_watchdog_that_cannot_reach_the_hardware_lets_nothing_move(hardware: Path) -> None:
     joint = Guarded(file=str(hardware))
-    joint.last_resort = joint.last_resort.__class__("guarded:missing", {}, str(hardware))
+    joint.resort = LastResort("guarded:missing", {}, str(hardware))
     with pytest.raises(
         RunError, match="the watchdog cannot reach the hardware, so nothing may move: AttributeError"
     ):
@@ -240,7 +241,7 @@ def test_a_watchdog_outlives_what_a_terminal_sends(hardware: Path) -> None:
 
 def test_a_watchdog_reaches_a_device_where_it_is_now(hardware: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
-    first, second_place = (Guarded(file=str(file), broken=True).last_resort for file in (hardware, elsewhere))
+    first, second_place = (Guarded(file=str(file), broken=True).resort for file in (hardware, elsewhere))
 
     async def move_over() -> dict[str, list[str]]:
         watchdog = WatchdogProcess(second, "", Latch(), lambda said: None)

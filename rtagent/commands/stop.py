@@ -88,7 +88,7 @@ def _target(part: Part, scenario: str, problems: list[str]) -> Iterator[Target]:
     try:
         device = part.plugin(**part.given())
         if isinstance(device, Guarded):
-            yield Target(name, scenario, device.last_resort, safe_within(device) / second)
+            yield Target(name, scenario, device.last_resort(), safe_within(device) / second)
     except Exception as error:  # a plug-in may raise anything
         said = str(error) if isinstance(error, RtagentError) else repr(error)
         problems.append(f"{scenario}: devices.{name}: {said}")

@@ -19,11 +19,11 @@ EMERGENCY = "emergency"
 class ArmStopping:
     """Turn a joint at a constant speed, and stop it as soon as a flag says Emergency (thesis, Experiment 1).
 
-    `joint` is `device.joint`, `emergency` a flag, `device.sensor`. The joint turns at `velocity` (its sign is the
-    direction) towards its soft limit. The episode ends when the joint is at rest after a stop in Emergency, or, as
-    a miss, within `margin` of that limit. Slower than `at_rest` is at rest. Emergency costs 1 for each
-    `reward_unit` from its onset until the joint is at rest, by the times of the samples; a stop that was chosen in
-    Normal costs 1, and the joint does stop. `signals` are further ones for demons, as for the task `stopping`.
+    `joint` is `device.joint`, `emergency` a flag, `device.sensor`. The joint turns at `velocity` (its sign is
+    the direction). The episode ends with the joint at rest after a stop in Emergency, or, as a miss, beyond the
+    position `end`. Slower than `at_rest` is at rest. Emergency costs 1 for each `reward_unit` from its onset
+    until the joint is at rest, by the times of the samples; a stop that was chosen in Normal costs 1, and the
+    joint does stop. `signals` are further ones for demons, as for the task `stopping`.
     """
 
     actions = ("move", "stop")
@@ -33,18 +33,20 @@ class ArmStopping:
         *,
         joint: str,
         emergency: str,
+        end: Angle,
         velocity: AngularVelocity = 30 * degree,
-        margin: Angle = 2 * degree,
         at_rest: AngularVelocity = 3 * degree,
         reward_unit: Duration = second,
         signals: tuple[str, ...] = (),
     ) -> None:
-        if not (velocity and margin >= 0 and reward_unit > 0):
-            raise SpecError("velocity is not 0, margin 0 or more, reward_unit above 0.")
+        if not (velocity and reward_unit > 0):
+            raise SpecError(
+                "velocity is 0, or reward_unit not above 0: give the joint a speed, and the cost a unit."
+            )
         if not 0 < at_rest < abs(velocity):
             raise SpecError("at_rest is above 0 and below the velocity at which the joint turns.")
         self._joint, self._flag = _Place.of(joint, "joint"), _Place.of(emergency, "emergency")
-        self._velocity, self._margin, self._at_rest = velocity, margin, at_rest
+        self._velocity, self._end, self._at_rest = velocity, end, at_rest
         self._costs = _Costs(reward_unit)
         self._patterns = signals
         self.state: Mapping[str, Spec] = {EMERGENCY: Spec.flag()}
@@ -62,7 +64,7 @@ class ArmStopping:
         if devices[self._flag.device].sensors[self._flag.name].dtype != "bool":
             raise SpecError(f"emergency is {self._flag}, which is not true or false: name a flag.")
         devices[device].actuators[self._velocity_at].validate(self._velocity, "velocity")
-        self._end = self._end_of(devices[device].sensors[self._position_at])
+        devices[device].sensors[self._position_at].validate(self._end, "end")
         self._readings = Readings(picked(self._patterns, numbers_sensed(devices)), taken=(EMERGENCY,))
         self.state = {EMERGENCY: Spec.flag()} | self._readings.specs
 
@@ -104,12 +106,6 @@ class ArmStopping:
     def _at_end(self, joint: Sample) -> bool:
         beyond = float(joint.values[self._position_at]) - self._end
         return beyond >= 0 if self._velocity > 0 else beyond <= 0
-
-    def _end_of(self, position: Spec) -> float:
-        """Return the position that ends an episode as a miss."""
-        if not 2 * self._margin < position.high - position.low < float("inf"):
-            raise SpecError(f"joint {self._joint} needs soft limits that are further apart than twice the margin.")
-        return position.high - self._margin if self._velocity > 0 else position.low + self._margin
 
 
 @dataclass(frozen=True)

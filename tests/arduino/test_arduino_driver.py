@@ -82,6 +82,11 @@ async def until_raises(device: Arduino) -> str:
                 return str(error)
 
 
+def last_resort(device: Guarded) -> Resort:
+    told = device.last_resort()
+    return Resort("hand", told.function, told.settings)
+
+
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("name", DRIVERS)
 def test_the_driver_keeps_the_contract(name: str, check: str, request: pytest.FixtureRequest) -> None:
@@ -287,7 +292,7 @@ async def test_it_is_made_safe_by_another_process_and_knows_it(hand: Board) -> N
     async with opened(device):
         await device.act({"digit3_position": 1.0})
         await device.read((await device.read(-1)).sequence + 2)
-        resort = Resort("hand", device.last_resort.function, device.last_resort.settings)
+        resort = last_resort(device)
         assert resort.make_safe() == []  # the event loop stands still meanwhile
         resort.close()
         assert pulses(hand, 9)[-1] == 0
@@ -300,7 +305,7 @@ async def test_the_last_resort_tells_what_it_could_not_reach(
     monkeypatch.setattr("rtagent_drivers.arduino.last_resort.WITHIN", 0.1)
     device = hand_driver(str(tmp_path / "nothing"))
     assert isinstance(device, Guarded)
-    (said,) = Resort("hand", device.last_resort.function, device.last_resort.settings).make_safe()
+    (said,) = last_resort(device).make_safe()
     assert "did not confirm that its servos are safe" in said
     assert "switch their power off" in said
 

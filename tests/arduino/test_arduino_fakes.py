@@ -54,8 +54,8 @@ async def test_a_board_on_the_wire_begins_with_its_driver_and_takes_orders() -> 
     assert isinstance(device, EmulatedArduinoWithServos)
     assert isinstance(device, Guarded)
     async with opened(device):
-        assert device.last_resort.hardware == "", "it stays not latched"
-        assert device.last_resort.settings["port"] == str(device.emulation.link)
+        assert device.last_resort().hardware == "", "it stays not latched"
+        assert device.last_resort().settings["port"] == str(device.emulation.link)
         device.emulation.tell(do="reset")
         assert "was reset" in await until_raises(device)
 

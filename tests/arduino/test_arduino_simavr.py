@@ -12,12 +12,11 @@ from pathlib import Path
 import pytest
 from boards import FINGERS, HAND, SERVOS
 from simulated import BUTTON_PIN, SERVO_PINS, Simulated, build, missing
-from test_arduino_driver import opened, until_raises
+from test_arduino_driver import last_resort, opened, until_raises
 
 from rtagent.device import Guarded
 from rtagent.errors import DeviceError
 from rtagent.units import ms, second, us
-from rtagent.watchdog.resorts import Resort
 from rtagent_drivers.arduino.driver import arduino
 from rtagent_drivers.arduino.settings import Servo
 
@@ -148,7 +147,7 @@ async def test_the_last_resort_makes_the_servos_safe(hand: Simulated) -> None:
     async with opened(device):
         await device.act({"digit0_position": 1.0})
         await until(lambda: hand.pulse(3) > 0)
-        resort = Resort("hand", device.last_resort.function, device.last_resort.settings)
+        resort = last_resort(device)
         assert resort.make_safe() == []
         resort.close()
         await until(lambda: hand.pulse(3) == 0)

@@ -59,14 +59,40 @@ async def test_a_return_delay_is_mended_but_not_under_torque(bento: str) -> None
         still = await scan.look(bus, 5)
         torque_enable = still.models[0].registers["torque_enable"]
         await bus.transact(bus.codec.write(Write(5, torque_enable.address, b"\x01")), {5: 0})
-        moving = await scan.look(bus, 5)
-        assert moving.torque
-        assert not await scan.mend(bus, moving)
-        assert (await scan.look(bus, 5)).return_delay == 500 * us
+        assert (await scan.mend(bus, await scan.look(bus, 5))).return_delay == 500 * us
+        assert (await scan.look(bus, 5)).torque
         await bus.transact(bus.codec.write(Write(5, torque_enable.address, b"\x00")), {5: 0})
-        assert await scan.mend(bus, await scan.look(bus, 5))
-        assert (await scan.look(bus, 5)).return_delay == 0
+        assert (await scan.mend(bus, await scan.look(bus, 5))).return_delay == 0
         await bus.transact(bus.codec.write(Write(5, 5, bytes((250,)))), {5: 0})
+
+
+@pytest.mark.parametrize(("robot", "protocol"), [("bento", 1), ("mini_bento", 2)])
+async def test_a_servo_that_has_shut_down_recovers_and_stays_limp(
+    robot: str, protocol: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scan, "REBOOTING", 200 * ms)
+    monkeypatch.setattr(scan, "REBOOTING", 300 * ms)
+    with EmulatedArm(tmp_path, robot) as arm:
+        async with scan.calling(arm.port, 1_000_000, protocol, 1) as bus:
+            register = (await scan.look(bus, 2)).models[0].registers["torque_enable"]
+            await bus.transact(bus.codec.write(Write(2, register.address, b"\x01")), {2: 0})
+            arm.fault("overload", 2)
+            arm.mend()
+            broken = await scan.look(bus, 2)
+            assert (broken.shut_down, list(broken.complaints)) == (True, [faults.OVERLOAD])
+            mended = await scan.mend(bus, broken)
+        assert (mended.shut_down, mended.torque, list(mended.complaints)) == (False, False, [])
+        assert not arm.state()["elbow"]["torque"]
+
+
+async def test_what_a_servo_does_not_say_is_not_taken_for_zero(tmp_path: Path) -> None:
+    """A torque limit of 0, or torque that is off, would have it mended: one that is mute is left alone."""
+    with EmulatedArm(tmp_path) as arm:
+        async with scan.calling(arm.port, 1_000_000, 1, 253) as bus:
+            arm.fault("silent", 2)
+            mute = await scan.look(bus, 2)
+            assert (mute.number, mute.torque, mute.shut_down, list(mute.complaints)) == (0, None, False, [])
+            assert await scan.mend(bus, mute) == mute
 
 
 def test_the_command_tells_of_each_servo_and_how_to_mend_it(bento: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -145,7 +171,7 @@ async def test_a_port_that_may_be_anything_is_not_spoken_to_unless_it_is_named(
 
 
 def test_every_finding_of_a_servo_with_a_problem_has_a_cure() -> None:
-    servo = scan.Found(3, 2, 57_600, 4711, 1, 508 * us, None, ["is hot: wait."])
+    servo = scan.Found(3, 2, 57_600, 4711, 1, 508 * us, None, False, ["is hot: wait."])
     found = probe._findings("/dev/ttyUSB0", servo)
     assert [bool(each.problem and each.cure) for each in found] == [True, True, True]
     assert found[0].value.startswith("unknown model 4711")

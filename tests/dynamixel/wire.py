@@ -31,6 +31,10 @@ class EmulatedArm:
         assert self._process.stdout.readline().strip() == self.port
 
     @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
     def protocol(self) -> int:
         return next(iter(ROBOTS[self.robot]))
 

@@ -338,9 +338,8 @@ class ArduinoWithServos(Arduino):
         """How long (ns) the board tolerates to hear nothing (0: for ever)."""
         return 0 if self.settings.layout.legacy else self.settings.heartbeat
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process."""
+        """Return how to make it safe without this process; raise `DisconnectedError` where its port is not found."""
         path = self._path or find_port(self.settings.port)
         settings = {
             "port": path,

@@ -159,10 +159,9 @@ class EmulatedArduinoWithServos(ArduinoWithServos):
         await self.emulation.begin()
         await super().open()
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process; it is no hardware that would stay latched."""
-        return replace(super().last_resort, hardware="")
+        """Return how to make it safe without this process; it is no hardware that would stay latched."""
+        return replace(super().last_resort(), hardware="")
 
 
 def on_wire(**given: Any) -> Arduino:

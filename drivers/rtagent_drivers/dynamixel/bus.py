@@ -116,12 +116,13 @@ class Bus:
     async def emergency(self, writes: Sequence[Request], asked: Sequence[Question]) -> Mapping[int, Status]:
         """Send `writes` and what is `asked` before everything else, and return the answers that came.
 
+        With each question the writes go out again: on a bad line the more often, the better.
         Commands that wait are dropped. What is on the line is waited for only as long as its answers may take by
         the wire, and not at all where garbage comes.
         """
         self._drop_writes(DeviceError("a stop overtook the command, which was not sent."))
-        first = replace(asked[0], data=b"".join(map(self.codec.request, writes)) + asked[0].data)
-        answers = [self._ask(each, urgent=True) for each in (first, *asked[1:])]
+        written = b"".join(map(self.codec.request, writes))
+        answers = [self._ask(replace(each, data=written + each.data), urgent=True) for each in asked]
         statuses: dict[int, Status] = {}
         for answer in answers:
             statuses |= await answer
@@ -268,9 +269,14 @@ class Bus:
         if exchange is None:
             self._go_on()
         elif self._now() + TICK >= self._deadline:
-            self._end(exchange)
+            self._loop.call_at(self._loop.time(), self._expire, exchange)  # what has come is received before
         else:
             self._arm()
+
+    def _expire(self, exchange: Exchange) -> None:
+        """End an exchange whose deadline has passed, unless its answers were only waiting for a busy loop."""
+        if exchange is self._exchange:
+            self._end(exchange)
 
     # The end of it
 

@@ -39,7 +39,7 @@ class Register:
     high: int | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # there is one of each: it can be a key
 class Model:
     """A kind of servo: its number (what it says of itself), protocol, registers by name, and modes.
 

@@ -36,8 +36,8 @@ START_SPEED = 0.5
 FIRST_READINGS = 1 * second
 """So long every joint has to be read for the first time."""
 
-ARRIVED = 0.05
-"""A joint within so much (rad) of its start has arrived."""
+ARRIVED, AT_REST = 0.05, 0.1
+"""A joint within so much (rad) of its start, and no faster than this (rad/s), has arrived."""
 
 
 def _in_process(**settings: Any) -> Device:
@@ -208,9 +208,8 @@ class Dynamixel:
         """How long (ns) `make_safe` may take."""
         return SAFE_WITHIN + (self._home_within if self._stop == "home" else 0)
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process."""
+        """Return how to make it safe without this process; raise `DisconnectedError` where no port fits."""
         path = self._path or find_port(self._port)
         servos = [[servo.id, servo.axis.name, servo.model.name, servo.axis.joint.mode] for servo in self._servos]
         settings = {
@@ -414,7 +413,7 @@ class Dynamixel:
         farthest = max(abs(_position(servo) - goal) / speeds[servo] for servo, goal in goals.items())
         ends = self._now() + (within or round((2 * farthest + 2) * second))
         await self._order("pose", {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()})
-        while away := [servo for servo, goal in goals.items() if abs(_position(servo) - goal) > ARRIVED]:
+        while away := [servo for servo, goal in goals.items() if not _arrived(servo, goal)]:
             if self._now() > ends:
                 names = ", ".join(servo.axis.name for servo in away)
                 raise DeviceError(f"{names} did not get to the start pose: see what is in its way, and its load.")
@@ -430,6 +429,11 @@ class Dynamixel:
 def _position(servo: Servo) -> float:
     assert servo.reading is not None, "every joint was read when the arm was opened"
     return servo.reading.position
+
+
+def _arrived(servo: Servo, goal: float) -> bool:
+    assert servo.reading is not None, "every joint was read when the arm was opened"
+    return abs(servo.reading.position - goal) <= ARRIVED and abs(servo.reading.velocity) <= AT_REST
 
 
 def _check_starts(arm: Sequence[Axis], stop: Stop) -> None:

@@ -86,10 +86,9 @@ class EmulatedArm(Dynamixel):
             weakref.finalize(self, _end, self._emulator)
         await super().open()
 
-    @property
     def last_resort(self) -> LastResort:
-        """How to make it safe without this process; it is no hardware that would stay latched."""
-        return replace(super().last_resort, hardware="")
+        """Return how to make it safe without this process; it is no hardware that would stay latched."""
+        return replace(super().last_resort(), hardware="")
 
     def tell(self, **order: Any) -> None:
         """Give the emulated bus an order while it runs (see emulated/control.py)."""

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-OVERLOAD = "has been overloaded and lets go of its joint: take the load off, then switch its power off and on."
-HOT = "is too hot and lets go of its joint: switch its power off and let it cool for twenty minutes."
+OVERLOAD = (
+    "has been overloaded and lets go of its joint: take the load off, then run rtagent devices --mend, or"
+    " switch its power off and on."
+)
+HOT = "is too hot and lets go of its joint: switch its power off, and let it cool for twenty minutes."
 VOLTAGE = "has an input voltage beyond its limits: check the power supply, its cables, and what else it feeds."
 
 ERRORS_1: Mapping[int, str] = {

@@ -48,7 +48,7 @@ PAUSE = 0.005
 LONGEST_RETURN_DELAY = 508_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Servo:
     """A servo to be made safe."""
 
@@ -165,7 +165,6 @@ class Spare:
         statuses: dict[int, Status] = {}
         for asked in questions(self._codec, together, singly):
             statuses |= self._exchange(said, asked)
-            said = b""
         return statuses
 
     def _exchange(self, before: bytes, asked: Question) -> Mapping[int, Status]:

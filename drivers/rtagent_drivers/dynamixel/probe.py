@@ -43,10 +43,8 @@ def _none(search: Search) -> Finding:
 
 
 async def _mended(port: str, servo: Found) -> Found:
-    if servo.return_delay == 0:
-        return servo
     async with calling(port, servo.baud, servo.protocol, 1) as bus:
-        return replace(servo, return_delay=0) if await mend(bus, servo) else servo
+        return await mend(bus, servo)
 
 
 def _findings(port: str, servo: Found) -> Sequence[Finding]:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
-from rtagent.units import ms, second
+from rtagent.units import ms, second, us
 from rtagent_drivers.dynamixel import faults
 from rtagent_drivers.dynamixel.bus import DEFAULT_RETURN_DELAY, Bus
 from rtagent_drivers.dynamixel.codecs import codec
-from rtagent_drivers.dynamixel.models import MODELS, Model, Register, by_number
+from rtagent_drivers.dynamixel.models import MODELS, Model, by_number
 from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request, Span, Write
-from rtagent_drivers.dynamixel.values import pack, to_si, unpack
+from rtagent_drivers.dynamixel.values import pack, unpack
 from rtagent_drivers.serial_line import latency_timer
 
 PROTOCOLS = (2, 1)
@@ -25,16 +26,21 @@ TURN = 3 * ms
 PATIENCE, MOST_PATIENCE, ALL_PATIENCE = 5 * ms, 50 * ms, 2 * second
 """How late an answer may be: the least, the most, and the sum over all ids that bounds it."""
 
+TRIES = 3
+REBOOTING = 500 * ms
+STATE = ("torque_enable", "torque_limit", "hardware_error")
 PING_LENGTH = {1: 0, 2: 3}
 COMMON: Mapping[int, Model] = {1: MODELS["MX-28"], 2: MODELS["XL330-M288"]}
 """All servos of a protocol have model number, firmware version and return delay in the same places."""
+
+RETURN_DELAY_COUNT = 2 * us
 
 
 @dataclass(frozen=True)
 class Found:
     """A servo that answered: what it says of itself, its return delay (ns), and what it complains of.
 
-    `torque` is None where its model is not known.
+    `torque` is None where that is not known; `shut_down`, it has let go by itself and stays limp.
     """
 
     servo: int
@@ -44,6 +50,7 @@ class Found:
     firmware: int
     return_delay: int
     torque: bool | None
+    shut_down: bool
     complaints: Sequence[str]
 
     @property
@@ -99,43 +106,67 @@ async def _call_all(bus: Bus, ids: Sequence[int], length: int) -> Sequence[int] 
 
 
 async def look(bus: Bus, servo: int) -> Found:
-    """Return what a servo says of itself; what it does not say is 0."""
+    """Return what a servo says of itself; its number, firmware or return delay is 0 where it does not say that."""
     protocol = bus.codec.protocol
-    common = COMMON[protocol].registers
-    number, error = await _read(bus, servo, common["model_number"])
-    own = next((model.registers for model in by_number(number, protocol)), {})
-    states = {name: (await _read(bus, servo, own[name]))[0] for name in OF_INTEREST if name in own}
-    delay, _ = await _read(bus, servo, common["return_delay"])
+    told, error = await _read(bus, servo, COMMON[protocol], "model_number", "firmware_version", "return_delay")
+    number = told.get("model_number", 0)
+    model = next(iter(by_number(number, protocol)), None)
+    state, _ = await _read(bus, servo, model, *STATE) if model else ({}, 0)
+    torque, limit, hardware_error = (state.get(name) for name in STATE)
     return Found(
         servo,
         protocol,
         bus.baud,
         number,
-        (await _read(bus, servo, common["firmware_version"]))[0],
-        round(to_si(common["return_delay"], delay) * second),
-        bool(states["torque_enable"]) if own else None,
-        faults.sentences(protocol, error, states.get("hardware_error", 0), states.get("torque_limit")),
+        told.get("firmware_version", 0),
+        round(told.get("return_delay", 0) * RETURN_DELAY_COUNT),
+        None if torque is None else bool(torque),
+        limit == 0 or (bool(hardware_error) and torque == 0),
+        faults.sentences(protocol, error, hardware_error or 0, limit),
     )
 
 
-OF_INTEREST = ("torque_enable", "hardware_error", "torque_limit")
+async def mend(bus: Bus, found: Found) -> Found:
+    """Let a servo recover that has shut down, and set its return delay to 0; return how it is then.
+
+    Nothing moves: it is left limp. One whose torque is on is left as it is.
+    """
+    if found.shut_down and found.models:
+        await _recover(bus, found)
+        found = await look(bus, found.servo)
+    if found.return_delay > 0 and found.torque is False:
+        await _write(bus, found, "return_delay", 0)
+        found = await look(bus, found.servo)
+    return found
 
 
-async def _read(bus: Bus, servo: int, register: Register) -> tuple[int, int]:
-    """Return the count in a register, and the error that came with it."""
-    request = bus.codec.read(Span(servo, register.address, register.size))
-    answers = await bus.transact(request, {servo: register.size}, retries=2)
-    status = answers.get(servo)
-    if status is None or len(status.parameters) < register.size:
-        return 0, 0 if status is None else status.error
-    return unpack(register, status.parameters), status.error
+async def _recover(bus: Bus, found: Found) -> None:
+    """Clear what a servo latched: by a reboot, or (protocol 1.0) by giving it its torque back while it is off."""
+    if found.protocol == 2:
+        await bus.transact(Request(found.servo, Instruction.REBOOT), {found.servo: 0})
+        await asyncio.sleep(REBOOTING / second)
+        return
+    await _write(bus, found, "torque_enable", 0)
+    told, _ = await _read(bus, found.servo, found.models[0], "torque_enable", "max_torque")
+    if told.get("torque_enable") == 0 and "max_torque" in told:  # with torque on it would move
+        await _write(bus, found, "torque_limit", told["max_torque"])
 
 
-async def mend(bus: Bus, found: Found) -> bool:
-    """Set a servo's return delay to 0; return whether that was done. One with torque on is left as it is."""
-    if found.torque is not False:
-        return False
-    register = COMMON[found.protocol].registers["return_delay"]
-    write = bus.codec.write(Write(found.servo, register.address, pack(register, 0)))
-    await bus.transact(write, {found.servo: 0}, retries=2)
-    return (await _read(bus, found.servo, register))[0] == 0
+async def _read(bus: Bus, servo: int, model: Model, *names: str) -> tuple[dict[str, int], int]:
+    """Return the counts in those of the registers that it has and tells, and the errors that came with them."""
+    counts: dict[str, int] = {}
+    errors = 0
+    for name, register in ((name, model.registers[name]) for name in names if name in model.registers):
+        request = bus.codec.read(Span(servo, register.address, register.size))
+        status = (await bus.transact(request, {servo: register.size}, TRIES - 1)).get(servo)
+        if status is not None:
+            errors |= status.error
+            if len(status.parameters) == register.size:
+                counts[name] = unpack(register, status.parameters)
+    return counts, errors
+
+
+async def _write(bus: Bus, found: Found, name: str, count: int) -> None:
+    register = found.models[0].registers[name] if found.models else COMMON[found.protocol].registers[name]
+    request = bus.codec.write(Write(found.servo, register.address, pack(register, count)))
+    await bus.transact(request, {found.servo: 0}, TRIES - 1)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from rtagent.errors import SpecError
 from rtagent.specs import Spec, Value
 from rtagent.units import ms, second
+from rtagent_drivers.dynamixel.layout import Layout
 from rtagent_drivers.dynamixel.limits import JointLimits, Reading
 from rtagent_drivers.dynamixel.orders import (
     STATE,
@@ -41,8 +42,7 @@ class Servo:
         self.limits = JointLimits(axis, command)
         self.span = state_span(self.model, self.id)
         self._command = command
-        registers = (self.model.registers[name] for name in STATE)
-        self._layout = [(register, register.address - self.span.address) for register in registers]
+        self._layout = Layout([self.model.registers[name] for name in STATE])
         name = axis.name
         self.sensors = tuple(
             f"{name}_{each}" for each in ("position", "velocity", "load", "temperature", "voltage")
@@ -60,9 +60,7 @@ class Servo:
 
     def hear(self, data: bytes, now: int) -> Reading:
         """Take what the servo measured, at `now` (ns), in joint coordinates."""
-        angle, velocity, load, voltage, temperature = (
-            to_si(register, unpack(register, data, offset)) for register, offset in self._layout
-        )
+        angle, velocity, load, voltage, temperature = self._layout.values(data)
         direction = self.axis.direction
         self.reading = Reading(
             self.axis.position(angle),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf, isfinite, tau
 from typing import ClassVar, Literal
 
@@ -126,7 +127,7 @@ class Axis:
         """Return the servo's angle at a position of the joint."""
         return self.direction * position + self.zero
 
-    @property
+    @cached_property
     def reach(self) -> tuple[float, float]:
         """The positions that its servo can measure, in the joint's own angles."""
         if self.turns_on:

@@ -57,14 +57,14 @@ def mini_bento(arguments: Sequence[str]) -> int:
 
 
 def _emulate(given: argparse.Namespace) -> None:
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, _end)
     terminal = Terminal(given.link)
     joints, protocol = _joints(given)
+    faults = [read_fault(text) for text in given.fault]
+    now = RealClock.now()
     with _log(given.log) as log, contextlib.suppress(SystemExit):
-        faults = [read_fault(text) for text in given.fault]
-        now = RealClock.now()
         bus = EmulatedBus(joints, protocol, now, timing=given.timing, faults=faults, log=log)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, _end)
         way = Way(given.timing, given.linger)
         Emulator(bus, partial(obey, bus), terminal, way).run(lambda: _say(str(given.link)))
 
