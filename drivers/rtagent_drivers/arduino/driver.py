@@ -339,7 +339,7 @@ class ArduinoWithServos(Arduino):
         return 0 if self.settings.layout.legacy else self.settings.heartbeat
 
     def last_resort(self) -> LastResort:
-        """Return how to make it safe without this process; raise `DisconnectedError` where its port is not found."""
+        """Return how to make it safe without this process; raise `DisconnectedError` where no port is found."""
         path = self._path or find_port(self.settings.port)
         settings = {
             "port": path,

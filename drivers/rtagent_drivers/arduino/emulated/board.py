@@ -44,7 +44,7 @@ class Make:
 
 
 class EmulatedBoard:
-    """A board with a body on its pins; `line_baud` returns at what the program has set the line."""
+    """A board with a body on its pins; `line_baud` returns at what the program has set the line (0: it is gone)."""
 
     def __init__(
         self, make: Make, body: Body, now: int, line_baud: Callable[[], int], log: Log | None = None
@@ -108,9 +108,10 @@ class EmulatedBoard:
         ready = [data for time, data in self._said if time <= now]
         del self._said[: len(ready)]
         data = b"".join(ready)
-        if not data or self.unplugged:
+        baud = self._line_baud()
+        if not data or not baud or self.unplugged:
             return b""
-        return data if self._line_baud() == self._make.baud else self.trouble.garbage(len(data))
+        return data if baud == self._make.baud else self.trouble.garbage(len(data))
 
     @property
     def unplugged(self) -> bool:

@@ -74,7 +74,12 @@ def _emulate(given: argparse.Namespace) -> None:
         body = BODIES[given.body or ("hand" if given.board == "handi" else "glove")]()
         body.begin(now, np.random.default_rng(given.seed))
         board: EmulatedBoard = ResetByOpening(
-            _make(given), body, now, terminal.baud, log, Openings(given.link) if given.auto_reset else None
+            _make(given),
+            body,
+            now,
+            partial(_line_baud, terminal),
+            log,
+            Openings(given.link) if given.auto_reset else None,
         )
         way = Way(linger=given.linger)
         Emulator(board, partial(obey, board), terminal, way).run(lambda: _say(str(given.link)))
@@ -146,6 +151,10 @@ def _fault(told: dict[str, Any], since: int) -> Fault:
     }
     fault = Fault(**{**told, **times})
     return replace(fault, begin=fault.begin + since)
+
+
+def _line_baud(terminal: Terminal) -> int:
+    return 0 if terminal.fileno < 0 else terminal.baud()
 
 
 def _make(given: argparse.Namespace) -> Make:
