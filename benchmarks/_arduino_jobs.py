@@ -22,7 +22,8 @@ from rtagent.errors import DeviceError, DisconnectedError
 from rtagent.units import ms, second
 from rtagent_drivers.arduino import frames, legacy
 from rtagent_drivers.arduino.board_clock import BoardClock
-from rtagent_drivers.arduino.driver import Arduino, arduino
+from rtagent_drivers.arduino.device import Arduino
+from rtagent_drivers.arduino.driver import arduino
 from rtagent_drivers.arduino.layouts import HANDI_PINS, HANDI_SERVOS, LAYOUTS
 from rtagent_drivers.arduino.messages import Scan
 from rtagent_drivers.arduino.settings import Channel, Servo

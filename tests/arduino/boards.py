@@ -46,7 +46,7 @@ class Board:
         self.tell("fault", kind=kind, **more)
 
     def log(self, what: str) -> list[dict[str, Any]]:
-        lines = self._log.read_text().splitlines()
+        lines = self._log.read_text().split("\n")[:-1]  # the last one may not be whole yet
         return [entry for line in lines if what in (entry := json.loads(line))]
 
     def __enter__(self) -> Board:

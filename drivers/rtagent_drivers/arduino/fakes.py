@@ -25,7 +25,7 @@ from rtagent.errors import DeviceError
 from rtagent.experience import Command, Stimulus, Values
 from rtagent.specs import Value
 from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
-from rtagent_drivers.arduino.driver import Arduino, ArduinoWithServos
+from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
 from rtagent_drivers.fake import FakeDevice, Sampling

@@ -46,7 +46,7 @@ async def configure(link: Link, settings: Settings, hello: Hello, now: Clock) ->
     """Have a board measure and guard as `settings` say; return what it says then. Raises `DeviceError`."""
     check_board(settings, hello)
     for _ in range(ATTEMPTS):
-        if _is_configured(hello, settings):
+        if is_configured(hello, settings):
             check_time(settings, hello)
             return hello
         link.kept.clear()
@@ -97,7 +97,8 @@ def latency(settings: Settings, hello: Hello | None) -> int:
     return hello.lag + (0 if settings.baud == "usb" else sent)
 
 
-def _is_configured(hello: Hello, settings: Settings) -> bool:
+def is_configured(hello: Hello, settings: Settings) -> bool:
+    """Return whether a board measures and guards as `settings` say."""
     wanted = settings.period, settings.heartbeat // ms * ms, settings.stop == "hold"
     return (hello.period, hello.heartbeat, hello.holds) == wanted
 

@@ -81,7 +81,8 @@ class EmulatedBoard:
     def receive(self, now: int, data: bytes, baud: int) -> None:
         """Take what the host says, unless it comes at another rate than the board's, or before it has started."""
         self._advance(now)
-        if now < self._started_at or baud != self._make.baud:
+        deaf = self.trouble.holds("deaf", self.age(now))
+        if now < self._started_at or baud != self._make.baud or deaf:
             return
         if self._layout.legacy:
             self._obey_positions(now, data)
@@ -116,7 +117,7 @@ class EmulatedBoard:
     @property
     def unplugged(self) -> bool:
         """Whether the line is gone."""
-        return self.trouble.unplugged(self._advanced_to - self._there_since)
+        return self.trouble.holds("unplug", self.age(self._advanced_to))
 
     def age(self, now: int) -> int:
         """Return how long (ns) the board has been there."""
@@ -200,7 +201,7 @@ class EmulatedBoard:
     def _configure(self, now: int, body: bytes) -> None:
         period, heartbeat = int.from_bytes(body[:4], "little") * us, int.from_bytes(body[4:6], "little") * ms
         self._hello = self._hello._replace(period=period, heartbeat=heartbeat, holds=bool(body[6]))
-        self._number, self._next_scan = 0, now + period
+        self._next_scan = now + period
         self._say_hello(now, started=False)
 
     def _move(self, now: int, body: bytes) -> None:

@@ -11,7 +11,7 @@ from rtagent.errors import SpecError
 from rtagent.units import Duration
 from rtagent_drivers.fake import CLOSED_SETTINGS
 
-Kind = Literal["silent", "corrupt", "cut", "noise", "jitter", "unplug"]
+Kind = Literal["silent", "corrupt", "cut", "noise", "jitter", "deaf", "unplug"]
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class Fault:
     """A fault from `begin` on, for `duration` (0: for ever); times since the board was there.
 
     Each thing that the board says is with `probability` not said (silent), spoilt (corrupt), cut short (cut), or
-    preceded by garbage (noise); with jitter all is later, by up to `delay`. Unplugged, the line is gone.
+    preceded by garbage (noise); with jitter all is later, by up to `delay`. A deaf board hears nothing; unplugged,
+    the line is gone.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS
@@ -46,9 +47,9 @@ class Trouble:
         self.faults = list(faults)
         self._random = Random(0)  # noqa: S311  # garbage needs no secrecy
 
-    def unplugged(self, time: int) -> bool:
-        """Return whether the line is gone."""
-        return any(fault.kind == "unplug" and fault.holds(time) for fault in self.faults)
+    def holds(self, kind: Kind, time: int) -> bool:
+        """Return whether there is such a fault."""
+        return any(fault.kind == kind and fault.holds(time) for fault in self.faults)
 
     def due(self, time: int) -> int | None:
         """Return when a fault next begins or ends."""

@@ -33,8 +33,8 @@ from rtagent_drivers.dynamixel.emulated.process import Emulator, Way
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
 
 USAGE = """\
-kinds of faults: silent, corrupt, cut, noise (with a probability); jitter (with a delay); unplug. All take begin and
-duration, such as "2s".
+kinds of faults: silent, corrupt, cut, noise (with a probability); jitter (with a delay); deaf; unplug. All take
+begin and duration, such as "2s".
 orders on the standard input, one a line:
 {"do": "fault", "kind": "unplug", "duration": "2s"}   a fault, from now on
 {"do": "mend"}                                        the end of all faults

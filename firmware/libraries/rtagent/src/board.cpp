@@ -26,7 +26,6 @@ void Board::configure(const Settings &settings) {
   settings_ = settings;
   if (settings_.period < ShortestPeriod) settings_.period = ShortestPeriod;
   choose_adc_clock();
-  number_ = 0;
   due_ = micros() + settings_.period;
 }
 
