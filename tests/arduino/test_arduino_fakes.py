@@ -30,8 +30,10 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("check", CHECKS)
-@pytest.mark.parametrize("clock_name", ["real", "virtual"])
-@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize(
+    ("name", "clock_name"),
+    [(name, "virtual") for name in SETTINGS] + [("glove", "real"), ("hand", "real")],
+)
 def test_boards_in_the_process_keep_the_contract(name: str, clock_name: ClockName, check: str) -> None:
     suite = DeviceContract()
     suite.clock = clock_name

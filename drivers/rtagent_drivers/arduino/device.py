@@ -188,7 +188,8 @@ class Arduino:
             if isinstance(message, Scan):
                 scans.append(message)
             elif isinstance(message, Hello):
-                scans.clear()
+                if message.started:
+                    scans.clear()  # they are of before its reset
                 self._hear_hello(message)
             else:
                 self._hear_state(message)

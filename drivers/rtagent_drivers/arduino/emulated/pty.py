@@ -27,7 +27,7 @@ from rtagent.units import BAUD, FREQUENCY, TIME
 from rtagent_drivers.arduino.bodies import BODIES, Body
 from rtagent_drivers.arduino.emulated.board import GLOVE, HAND, EmulatedBoard, Log, Make
 from rtagent_drivers.arduino.emulated.faults import Fault
-from rtagent_drivers.arduino.emulated.openings import Openings
+from rtagent_drivers.arduino.emulated.openings import WatchedTerminal
 from rtagent_drivers.arduino.layouts import LAYOUTS
 from rtagent_drivers.dynamixel.emulated.process import Emulator, Way
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
@@ -68,25 +68,19 @@ def glovi(arguments: Sequence[str]) -> int:
 def _emulate(given: argparse.Namespace) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, _end)
-    terminal = Terminal(given.link)
+    terminal = WatchedTerminal(given.link)
     with _log(given.log) as log, contextlib.suppress(SystemExit):
         now = RealClock.now()
         body = BODIES[given.body or ("hand" if given.board == "handi" else "glove")]()
         body.begin(now, np.random.default_rng(given.seed))
-        board: EmulatedBoard = ResetByOpening(
-            _make(given),
-            body,
-            now,
-            partial(_line_baud, terminal),
-            log,
-            Openings(given.link) if given.auto_reset else None,
-        )
+        basics = _make(given), body, now, partial(_line_baud, terminal), log
+        board = ResetByOpening(*basics, terminal.was_opened) if given.auto_reset else EmulatedBoard(*basics)
         way = Way(linger=given.linger)
         Emulator(board, partial(obey, board), terminal, way).run(lambda: _say(str(given.link)))
 
 
 class ResetByOpening(EmulatedBoard):
-    """A board that starts anew when its port is opened, as most do."""
+    """A board that starts anew when its port is opened, as most do; `opened` returns whether that has happened."""
 
     def __init__(
         self,
@@ -95,10 +89,10 @@ class ResetByOpening(EmulatedBoard):
         now: int,
         line_baud: Callable[[], int],
         log: Log | None,
-        openings: Openings | None,
+        opened: Callable[[], bool],
     ) -> None:
         super().__init__(make, body, now, line_baud, log)
-        self._openings = openings
+        self._opened = opened
 
     def receive(self, now: int, data: bytes, baud: int) -> None:
         """Take what the host says, unless it has just opened the port."""
@@ -111,7 +105,7 @@ class ResetByOpening(EmulatedBoard):
         return super().take(now)
 
     def _look(self, now: int) -> None:
-        if self._openings is not None and self._openings.seen():
+        if self._opened():
             self.reset(now)
 
 
