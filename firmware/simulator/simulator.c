@@ -1,11 +1,11 @@
 // Runs a sketch without a board: its serial port is a pseudo-terminal, its inputs come from the standard input.
 //
-//   simulator --mcu atmega2560 --link ./hand [--watch E5]... [--fast] hand-mega.elf
+//   simulator --mcu atmega2560 --link ./hand [--watch E5]... hand-mega.elf
 //
 // It prints "ready" once programs can open the link. Orders, one a line: `adc 3 512` (channel, reading), `pin D2 0`,
 // `reset`, `time`. It answers each with a JSON object that holds the board's time (ns), and prints one whenever the
 // pulses on a watched pin change: {"time": 1000000, "pin": "E5", "pulse": 1500.0}; a pulse of 0 (µs) means none.
-// It keeps to real time, or with --fast runs as quickly as it can; ends with its standard input, or by a signal.
+// It keeps to real time, as far as it is quick enough; it ends with its standard input, or by a signal.
 
 #define _GNU_SOURCE
 #include <errno.h>
@@ -42,7 +42,7 @@ static avr_irq_t *adc_inputs, *uart_input;
 static unsigned readings[CHANNELS];
 static Watched watched[MOST_WATCHED];
 static int watched_count;
-static bool line_full, fast;
+static bool line_full;
 static uint8_t to_board[4096], to_host[4096];
 static size_t to_board_size, to_host_size;
 static const char *link_name;
@@ -266,7 +266,7 @@ static void run(void) {
     }
     see_silence();
     exchange_bytes();
-    if (!fast) keep_time();
+    keep_time();
   } while (take_orders());
 }
 
@@ -280,13 +280,12 @@ int main(int count, char *arguments[]) {
   int pin_count = 0;
   for (int i = 1; i < count; i++) {
     bool has_value = i + 1 < count;
-    if (!strcmp(arguments[i], "--fast")) fast = true;
-    else if (!strcmp(arguments[i], "--mcu") && has_value) mcu = arguments[++i];
+    if (!strcmp(arguments[i], "--mcu") && has_value) mcu = arguments[++i];
     else if (!strcmp(arguments[i], "--link") && has_value) link_name = arguments[++i];
     else if (!strcmp(arguments[i], "--watch") && has_value && pin_count < MOST_WATCHED) pins[pin_count++] = arguments[++i];
     else firmware = arguments[i];
   }
-  if (!link_name || !firmware) fail("usage: simulator --mcu MCU --link LINK [--watch PIN]... [--fast] FIRMWARE");
+  if (!link_name || !firmware) fail("usage: simulator --mcu MCU --link LINK [--watch PIN]... FIRMWARE");
   elf_firmware_t elf = {0};
   avr_global_logger_set(quiet);
   if (elf_read_firmware(firmware, &elf)) fail("cannot read the firmware");
