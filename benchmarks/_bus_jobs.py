@@ -46,6 +46,11 @@ class Emulated:
         self._process = subprocess.Popen([*command, *arguments], stdin=pipe, stdout=pipe, text=True)
         self._out().readline()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether its port is there."""
+        return Path(self.port).exists()
+
     def tell(self, **order: Any) -> None:
         """Give an order, and wait until it is carried out."""
         assert self._process.stdin is not None
@@ -214,9 +219,9 @@ async def _replug(arm: Emulated) -> list[Row]:
     times = []
     for _ in range(STOPS):
         arm.tell(do="fault", kind="unplug", duration="300ms")
-        while Path(arm.port).exists():
+        while arm.plugged:
             await _look(device)
-        while not Path(arm.port).exists():
+        while not arm.plugged:
             await _look(device)
         back = clock.current().now()
         while device.sample is None or device.sample.world_time < back:

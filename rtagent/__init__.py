@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from rtagent.agent import Agent
     from rtagent.costs import Cost
     from rtagent.experience import Observation, Outcome, Sample, Stimulus, Transition
+    from rtagent.latch import Latch
     from rtagent.lifecycle import Plan, run
     from rtagent.plugins import register
+    from rtagent.protection import Watchdog
     from rtagent.result import Result, RunError
     from rtagent.runtime import Limits
     from rtagent.schedule import Component, Schedule
@@ -28,6 +30,7 @@ _HOMES = {
     "Component": "schedule",
     "Cost": "costs",
     "DeviceSpec": "specs",
+    "Latch": "latch",
     "Limits": "runtime",
     "Observation": "experience",
     "Outcome": "experience",
@@ -40,6 +43,7 @@ _HOMES = {
     "Stimulus": "experience",
     "Supervision": "supervision",
     "Transition": "experience",
+    "Watchdog": "protection",
     "ms": "units",
     "register": "plugins",
     "run": "lifecycle",
@@ -52,6 +56,7 @@ __all__ = [
     "Component",
     "Cost",
     "DeviceSpec",
+    "Latch",
     "Limits",
     "Observation",
     "Outcome",
@@ -64,6 +69,7 @@ __all__ = [
     "Stimulus",
     "Supervision",
     "Transition",
+    "Watchdog",
     "clock",
     "ms",
     "register",

@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_stop(commands)
     _add_emulate(commands)
     _add_devices(commands)
+    _add_calibrate(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
     doctor.add_argument("--json", action="store_true", help="print JSON instead")
     doctor.set_defaults(command=_doctor)
@@ -109,6 +110,16 @@ def _add_devices(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     devices.add_argument("--json", action="store_true", help="print JSON instead")
     devices.set_defaults(command=_devices)
+
+
+def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    calibrate = commands.add_parser(
+        "calibrate", help="find out a device's zeros, directions and limits, limp in your hands"
+    )
+    calibrate.add_argument("scenario", help="a scenario whose device names a file for its calibration")
+    calibrate.add_argument("--device", metavar="NAME", help="which of its devices, where several can be")
+    _add_set(calibrate)
+    calibrate.set_defaults(command=_calibrate)
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
@@ -193,6 +204,12 @@ def _bauds(text: str) -> Sequence[int]:
     from rtagent.commands.devices import bauds
 
     return bauds(text)
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.calibrate import calibrate_command
+
+    return calibrate_command(arguments)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

@@ -41,7 +41,7 @@ class Latch:
             return
         self.source, self.reason = source, reason
         self.memory[0] = 1
-        for listener in self._listeners:
+        for listener in tuple(self._listeners):
             listener()
 
     @contextmanager

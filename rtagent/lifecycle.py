@@ -164,11 +164,12 @@ class _Life:
         return self._conclude(end, ended)
 
     async def _work(self) -> None:
-        for device in self._devices.values():
-            await device.open()
         agents = self._make_agents()
         if self._protection.needed:
-            agents = iter(list(agents))  # making one may keep the loop from its heartbeats
+            agents = iter(list(agents))  # making one may keep the loop from its devices and heartbeats
+        for device in self._devices.values():
+            await device.open()
+        if self._protection.needed:
             await self._protection.arm()
             for device in self._devices.values():
                 await device.first_sample()

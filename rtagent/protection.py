@@ -75,12 +75,11 @@ class Protection:
 
     async def end(self, why: str) -> None:
         """End it, when everything was made safe; say `why` where the run was ended early: this stays latched."""
-        if self._process is None:
-            return
         if why and self.begun:
             self._keep_latched(why)
-        await self._process.end()
-        self._process = None
+        process, self._process = self._process, None
+        if process is not None:
+            await process.end()
         self._stack.close()
 
     def _keep_latched(self, why: str) -> None:

@@ -289,7 +289,7 @@ class DeviceContract:
                 not_safe = await asyncio.to_thread(resort.make_safe)
                 must(not not_safe, f"its last resort could not make it safe: {' '.join(not_safe)}")
             resort.close()
-            _check_sample(device, await device.read(-1))
+            _check_sample(device, await _read_at_last(device))
 
         self._with_open_device(check)
 
@@ -322,6 +322,15 @@ class DeviceContract:
                 ) from None
 
         clock.run(bounded(), self.clock)
+
+
+async def _read_at_last(device: Device) -> Sample:
+    """Return a sample of a device that may have failed meanwhile, and is tried again as a run tries it."""
+    while True:
+        try:
+            return await device.read(-1)
+        except DeviceError:
+            await asyncio.sleep(0.01)
 
 
 def _check_sample(device: Device, sample: Sample) -> None:

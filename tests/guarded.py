@@ -9,12 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from numpy.random import Generator
+
 from rtagent import register
 from rtagent.device import LastResort
 from rtagent.errors import LimitError
 from rtagent.experience import Command
 from rtagent.specs import DeviceSpec
-from rtagent_drivers.fake import FakeDevice
+from rtagent_drivers.fake import FakeDevice, Faults
 from rtagent_drivers.stopping import stopping_joint
 
 HERE = Path(__file__).parent
@@ -26,6 +28,9 @@ episode_time = "10s"
 [schedule]
 preset = "reactive"
 period = "5ms"
+
+[watchdog]
+timeout = "500ms"
 
 [devices.joint]
 driver = "guarded"
@@ -66,18 +71,29 @@ class Guarded(FakeDevice):
     """A joint that turns, and says so in a file with every command.
 
     It reaches its limit with the command of that number; where `jammed`, only the last resort can make it safe, and
-    where `broken`, nothing can.
+    where `broken`, nothing can. It is gone for a while where `unplugged` says so.
     """
 
     def __init__(
-        self, *, file: str, hardware: str = "", limit: int = 0, jammed: bool = False, broken: bool = False
+        self,
+        *,
+        file: str,
+        hardware: str = "",
+        limit: int = 0,
+        jammed: bool = False,
+        broken: bool = False,
+        unplugged: tuple[int, ...] = (),
     ) -> None:
-        super().__init__(stopping_joint().world)
+        super().__init__(stopping_joint().world, faults=Faults(disconnect=(unplugged,) if unplugged else ()))
         self.file, self.limit, self.jammed, self.commands = file, limit, jammed or broken, 0
         self.resort = LastResort("guarded:spare", {"file": file, "broken": broken}, hardware or file)
 
     def last_resort(self) -> LastResort:
         return self.resort
+
+    async def begin_episode(self, rng: Generator) -> None:
+        write(self.file, "start")
+        await super().begin_episode(rng)
 
     async def act(self, command: Command) -> Command:
         self.commands += 1

@@ -12,24 +12,31 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
+import numpy as np
 import pytest
-from guarded import HERE, SCENARIO, Guarded, Line, lines
+from guarded import HERE, SCENARIO, Guarded, Line, lines, write
+from numpy.random import Generator
 from parts import sarsa_agent
 
-from rtagent import Limits, Plan, Result, RunError, Schedule, clock, latched, living, ms, run, second
+from rtagent import Agent, Limits, Plan, Result, RunError, Schedule, clock, latched, living, ms, run, second
 from rtagent.__main__ import main
-from rtagent.device import LastResort
+from rtagent.device import Device, LastResort
 from rtagent.errors import ClockError, DeviceError, ScenarioError, StoppedError
+from rtagent.guard import HangGuard
 from rtagent.instruments import Instrument
 from rtagent.latch import Latch
 from rtagent.protection import Watchdog
 from rtagent.scenario import assemble, load
+from rtagent.supervision import SupervisedDevice, Supervision
 from rtagent.tasks import Stopping
 from rtagent.testing import DeviceContract
 from rtagent.watchdog.process import WatchdogProcess
+from rtagent_drivers.fake import FakeDevice, Faults, Sampling
+from rtagent_drivers.stopping import stopping_joint
 
 SHORT = Watchdog(timeout=100 * ms, scenario="toy.toml")
 PATIENT = Watchdog(timeout=2 * second, scenario="toy.toml")
@@ -56,6 +63,9 @@ def run_guarded(
     watchdog: Watchdog = PATIENT,
     *,
     disturb: Callable[[], object] = lambda: None,
+    beside: Mapping[str, Device] = MappingProxyType({}),
+    trials: int = 1,
+    make_agent: Callable[[Generator], Agent] | None = None,
 ) -> Result:
     """Run the joint for a fifth of a second; `disturb` is called on the loop after the tenth move."""
 
@@ -68,13 +78,22 @@ def run_guarded(
                 disturb()
 
     task, schedule = Stopping(), Schedule.preset("reactive", period=5 * ms)
-    plan = Plan(limits=Limits(episode_time=200 * ms))
-    parts = {"joint": joint}, task, sarsa_agent(task), schedule, plan
-    return clock.run(run(*parts, instruments=[Disturbing()], latch=latch, watchdog=watchdog))
+    plan = Plan(trials, limits=Limits(episode_time=200 * ms))
+    parts = {"joint": joint, **beside}, task, make_agent or sarsa_agent(task), schedule, plan
+    supervision = dict.fromkeys(beside, Supervision(timeout=50 * ms))
+    others = {"instruments": [Disturbing()], "supervision": supervision}
+    return clock.run(run(*parts, latch=latch, watchdog=watchdog, **others))  # type: ignore[arg-type]  # each its own
 
 
-def what(file: Path, *, without: tuple[str, ...] = ("move",)) -> list[str]:
+MOTION = ("start", "move")
+
+
+def what(file: Path, *, without: tuple[str, ...] = MOTION) -> list[str]:
     return [line.what for line in lines(file) if line.what not in without]
+
+
+def moved(file: Path) -> bool:
+    return bool(set(MOTION) & set(what(file, without=())))
 
 
 def watchdogs() -> list[int]:
@@ -135,7 +154,7 @@ def test_two_threads_that_trip_a_latch_leave_one_reason() -> None:
 def test_a_normal_run_is_guarded_from_before_its_first_move_until_it_is_safe(hardware: Path) -> None:
     result = run_guarded(Guarded(file=str(hardware)))
     assert what(hardware) == ["guarded", "safe", "closed", "unguarded"]
-    assert lines(hardware)[1].what == "move"
+    assert [line.what for line in lines(hardware)][:3] == ["guarded", "start", "move"]
     assert not result.faults
     assert latched.find(str(hardware)) is None
     assert living.runs() == []
@@ -163,14 +182,62 @@ def test_a_run_with_a_tripped_latch_moves_nothing(hardware: Path) -> None:
     latch.trip("person", "not today")
     with pytest.raises(RunError, match="not today"):
         run_guarded(Guarded(file=str(hardware)), latch)
-    assert "move" not in what(hardware, without=())
+    assert not moved(hardware)
+
+
+def test_an_episode_does_not_begin_once_the_latch_is_tripped(hardware: Path) -> None:
+    latch, joint = Latch(), Guarded(file=str(hardware))
+
+    class Other(FakeDevice):
+        async def begin_episode(self, rng: Generator) -> None:
+            latch.trip("person", "the cat was in the way")
+
+    with pytest.raises(RunError, match="the cat"):
+        run_guarded(joint, latch, beside={"a": Other(stopping_joint().world)})
+    assert what(hardware, without=()).count("start") == 1, "that of the joint, which comes first"
+    with pytest.raises(StoppedError):
+        clock.run(started(joint, latch))
+
+
+async def started(joint: Guarded, latch: Latch) -> None:
+    """Bring a joint to its start as a run does."""
+    now = clock.current()
+    device = SupervisedDevice("joint", joint, Supervision(), now, HangGuard(now), latch, print, joint.close)
+    await device.go_to_start(np.random.default_rng(0))
+
+
+def test_nothing_moves_before_every_device_has_given_a_sample(hardware: Path) -> None:
+    silent = stopping_joint(sampling=Sampling(rate=100.0), faults=Faults(corrupt=1.0))
+    with pytest.raises(RunError, match="device 'other' gave no valid sample"):
+        run_guarded(Guarded(file=str(hardware)), beside={"other": silent})
+    assert not moved(hardware)
+    assert latched.find(str(hardware)) is None, "nothing could have moved"
+
+
+def test_every_agent_is_made_before_hardware_is_opened(hardware: Path) -> None:
+    def make_agent(rng: Generator) -> Agent:
+        write(str(hardware), "agent")
+        return sarsa_agent(Stopping())(rng)
+
+    run_guarded(Guarded(file=str(hardware)), trials=2, make_agent=make_agent)
+    assert what(hardware) == [*["agent"] * 2, "guarded", "safe", "closed", "unguarded"]
+
+
+def test_a_device_that_comes_back_is_guarded_anew(hardware: Path) -> None:
+    result = run_guarded(Guarded(file=str(hardware), unplugged=(50 * ms, 60 * ms)))
+    assert result.device_counters["joint"]["reopened"] == 1
+    said = what(hardware, without=("start", "closed"))
+    again = said.index("guarded", 1)
+    assert said[again - 1] == "unguarded"
+    assert "move" in said[again:]
+    assert said[-2:] == ["safe", "unguarded"]
 
 
 def test_a_limit_stops_a_run_at_once(hardware: Path) -> None:
     latch = Latch()
     with pytest.raises(RunError, match="stopped by limit: the joint is at its limit: move it back by hand"):
         run_guarded(Guarded(file=str(hardware), limit=10), latch)
-    assert what(hardware, without=()) == ["guarded", *["move"] * 9, "safe", "closed", "unguarded"]
+    assert what(hardware, without=("start",)) == ["guarded", *["move"] * 9, "safe", "closed", "unguarded"]
     assert latch.source == "limit"
     assert latched.find(str(hardware)) is not None
 
@@ -226,7 +293,8 @@ def test_a_watchdog_that_cannot_reach_the_hardware_lets_nothing_move(hardware: P
         RunError, match="the watchdog cannot reach the hardware, so nothing may move: AttributeError"
     ):
         run_guarded(joint)
-    assert "move" not in what(hardware, without=())
+    assert not moved(hardware)
+    assert latched.find(str(hardware)) is None, "nothing could have moved"
 
 
 def test_a_watchdog_outlives_what_a_terminal_sends(hardware: Path) -> None:
@@ -282,6 +350,8 @@ def test_hardware_that_is_latched_is_refused_until_it_is_rearmed(
     assert "stopped by limit: too hot (scenario yesterday.toml)" in said
     assert f"rtagent rearm {scenario}" in said
     assert not hardware.exists(), "it was not even opened"
+    assert main(["check", str(scenario)]) == 0, "that it is latched is not the scenario's fault"
+    assert "a watchdog makes it safe when the event loop stalls for 500 ms" in capsys.readouterr().out
     assert main(["rearm", str(scenario)]) == 0
     assert "too hot" in capsys.readouterr().out
     assert main(["rearm", str(scenario)]) == 0
@@ -398,6 +468,12 @@ def test_what_cannot_be_made_safe_is_told_by_stop(
     assert "device 'joint': its torque is still on: cut its power." in capsys.readouterr().out
     assert main(["stop", str(scenario), "--set", "devices.joint.velocity=1"]) == 1
     assert "there is no key 'devices.joint.velocity'" in capsys.readouterr().err
+    scenario.write_text("[devices.joint]\nfile = 'x'\n")
+    assert main(["stop", str(scenario)]) == 1
+    assert "toy.toml:1: there is no driver" in capsys.readouterr().err
+    scenario.write_text("[device.joint]\n")
+    assert main(["stop", str(scenario)]) == 1
+    assert "there are no devices" in capsys.readouterr().err
 
 
 # Patience
@@ -421,7 +497,7 @@ def test_learning_that_would_look_like_a_stall_is_refused(
 ) -> None:
     scenario.write_text(scenario.read_text().replace('"guarded"', '"patient"'))
     with pytest.raises(ScenarioError, match=sentence):
-        assemble(load(scenario, overrides))
+        assemble(load(scenario, ["watchdog.timeout=100ms", *overrides]))
 
 
 @pytest.mark.parametrize(
@@ -435,4 +511,4 @@ def test_learning_that_would_look_like_a_stall_is_refused(
 )
 def test_learning_that_leaves_the_loop_its_time_is_taken(scenario: Path, overrides: list[str]) -> None:
     scenario.write_text(scenario.read_text().replace('"guarded"', '"patient"'))
-    assert assemble(load(scenario, overrides)).guarded
+    assert assemble(load(scenario, ["watchdog.timeout=100ms", *overrides])).guarded

@@ -44,6 +44,8 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         )
         yield f"device {name} ({scenario.devices[name].name}): senses {sensors}; takes {actuators}"
     yield from device_notes(assembly)
+    if assembly.guarded:
+        yield f"a watchdog makes it safe when the event loop stalls for {describe(assembly.watchdog.timeout)}"
     yield f"task {scenario.parts['task'].name}: actions {', '.join(assembly.task.actions) or 'none'}"
     kinds = [scenario.parts[name].name for name in ("features", "learner", "policy") if name in scenario.parts]
     yield f"agent: {', '.join(kinds)}"
@@ -88,6 +90,12 @@ def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         yield "note: nothing bounds an episode of this synchronous world; give run.episode_steps a value."
     if real and assembly.never_sleeps and assembly.realtime.priority:
         yield "note: this loop never sleeps, so it gets no realtime.priority; give schedule.period a value."
+    if (pause := assembly.pause) > schedule.observe_timeout:
+        yield (
+            f"note: nothing new comes for {describe(pause)} at a time, and observe waits for "
+            f"{describe(schedule.observe_timeout)} at most, then takes what it has once more; "
+            "give schedule.observe_timeout more."
+        )
     costs = [component.value for component in assembly.costs]
     if costs and real:
         yield f"note: costs ({', '.join(costs)}) are charged under the virtual clock only."

@@ -18,8 +18,8 @@ T = TypeVar("T")
 STOPS = {b" ": "space", b"s": "s", b"S": "s", b"\x1b": "Esc"}
 
 
-async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO) -> T:
-    """Await `run` while the keys of the terminal, where there is one to read, can trip `latch`."""
+async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO | None) -> T:
+    """Await `run` while the keys of the terminal, where there is one to read, can trip `latch`, told on `out`."""
     try:
         terminal = sys.stdin.fileno()
         in_front = os.isatty(terminal) and os.tcgetpgrp(terminal) == os.getpgrp()
@@ -27,8 +27,9 @@ async def with_keyboard(run: Coroutine[Any, Any, T], latch: Latch, out: TextIO) 
         in_front = False
     if not in_front:
         return await run
-    out.write("space, s or Esc: stop\n")
-    out.flush()
+    if out is not None:
+        out.write("space, s or Esc: stop\n")
+        out.flush()
     with _keys_at_once(terminal), _listening(terminal, latch):
         return await run
 

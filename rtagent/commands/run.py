@@ -42,7 +42,9 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     try:
         habits = Habits(granted.calm, granted.place_learner)
         run = assembly.run([progress] if progress else [], habits, latch)
-        result = granted.run(_with_keyboard(run, latch, out) if assembly.guarded else run)
+        result = granted.run(
+            _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
+        )
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:
@@ -60,7 +62,7 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     return 0 if failure is None and not result.not_safe and result.learned_all else 1
 
 
-async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO) -> Result:
+async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO | None) -> Result:
     from rtagent.commands.keyboard import with_keyboard  # needs what not every system that can run fakes has
 
     return await with_keyboard(run, latch, out)

@@ -104,6 +104,10 @@ def load_devices(path: str | Path, overrides: Sequence[str] = ()) -> tuple[list[
     source, problems = Source(Path(path), overrides), list[str]()
     tables = [table for table in _plugin_tables(source.values) if table.group == "drivers"]
     parts = [part for table in tables if (part := _part(table, source, problems)) is not None]
+    unnamed = [table for table in tables if not isinstance(table.name, str)]
+    problems += [f"{source.where(table.path)}: there is no driver: give the device one." for table in unnamed]
+    if not tables:
+        problems.append(f"{path}: there are no devices: give the scenario that holds them.")
     return parts, problems
 
 

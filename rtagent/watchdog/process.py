@@ -39,10 +39,7 @@ class WatchdogProcess:
         self._one_question = asyncio.Lock()
         self._rest = b""
         self._ending = False
-
-    async def start(self, resorts: Mapping[str, LastResort]) -> None:
-        """Start it, and wait until it could act; raise `DeviceError` where it cannot."""
-        self._process = subprocess.Popen(  # noqa: ASYNC220  # it takes milliseconds, and nothing moves yet
+        self._process = subprocess.Popen(
             [sys.executable, "-m", "rtagent.watchdog"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -53,6 +50,9 @@ class WatchdogProcess:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._to, self._from = self._process.stdin.fileno(), self._process.stdout.fileno()
+
+    async def start(self, resorts: Mapping[str, LastResort]) -> None:
+        """Tell it what to do, and wait until it could; raise `DeviceError` where it cannot."""
         self._loop.add_reader(self._from, self._hear)
         self._send(json.dumps(self._order()).encode())
         await self.guard(resorts)

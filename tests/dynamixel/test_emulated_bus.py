@@ -18,8 +18,8 @@ from rtagent_drivers.dynamixel.emulated.control import obey, read_fault
 from rtagent_drivers.dynamixel.emulated.faults import Fault
 from rtagent_drivers.dynamixel.emulated.robots import BENTO, MINI_BENTO, ROBOTS, Joint
 from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request, Span, Status, Write
-from rtagent_drivers.dynamixel.physics import Body
 from rtagent_drivers.dynamixel.protocol2 import PROTOCOL2, split_fast
+from rtagent_drivers.dynamixel.steps import Body
 from rtagent_drivers.dynamixel.timing import transaction
 from rtagent_drivers.dynamixel.values import pack, unpack
 
@@ -189,6 +189,16 @@ def test_it_goes_to_its_goal_at_the_speed_that_is_set(model: str, speed: int, co
     assert turns * 60 == pytest.approx(count, rel=0.01)
 
 
+@pytest.mark.parametrize("speed", [0, 1023])
+def test_no_servo_is_faster_than_its_motor(speed: int) -> None:
+    host = one("MX-64")
+    host.write(1, "moving_speed", speed)
+    host.write(1, "goal_position", 4000)
+    host.wait(250 * ms)
+    top = host.bus.servo(1).model.top_speed
+    assert host.bus.servo(1).state(host.now).velocity == pytest.approx(top)
+
+
 def test_a_wheel_turns_either_way_and_its_angle_begins_anew() -> None:
     host = one("MX-28")
     host.write(1, "ccw_angle_limit", 0)
@@ -315,6 +325,9 @@ def test_a_servo_that_is_silent_ends_a_group_read() -> None:
         spans = [Span(number, 36, 4) for number in range(1, 6)]
         request = PROTOCOL2.fast_sync_read(spans) if fast else host.codec.group_read(spans)
         assert len(host.ask(request)) == (1 if fast else 5)
+        missing = [spans[0], Span(9, 36, 4), spans[1]]
+        asked = PROTOCOL2.fast_sync_read(missing) if fast else host.codec.group_read(missing)
+        assert [status.servo for status in host.ask(asked)] == ([] if fast else [1])
         fault(host, "silent", 3)
         assert [status.servo for status in host.ask(request)] == ([] if fast else [1, 2])
 
@@ -401,6 +414,13 @@ def test_an_order_that_cannot_be_is_refused_and_changes_nothing(line: str) -> No
         obey(host.bus, host.now, line)
 
 
+def test_joints_that_cannot_be_are_refused() -> None:
+    with pytest.raises(SpecError, match="inertia and friction above 0"):
+        Body(friction=0.0)
+    with pytest.raises(SpecError, match="elbow cannot be at 2 rad"):
+        Joint("elbow", 1, "MX-28", Body(high=1.0), start=2.0)
+
+
 def test_joints_that_cannot_be_on_one_bus_are_refused() -> None:
     with pytest.raises(SpecError, match="does not speak protocol 2"):
         Host(BENTO, 2)
@@ -414,7 +434,7 @@ def test_joints_that_cannot_be_on_one_bus_are_refused() -> None:
 
 
 @pytest.mark.parametrize("robot", list(ROBOTS))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(
     baud=st.sampled_from([57_600, 115_200, 1_000_000, 2_000_000]),
     delay=st.integers(0, 250).map(lambda count: 2 * us * count),
@@ -434,6 +454,25 @@ def test_a_transaction_takes_as_long_as_on_a_true_line(robot: str, baud: int, de
     assert arrivals[-1] - began == pytest.approx(transaction(len(request), bytes_, baud, delay), abs=10)
     assert arrivals[0] - began == pytest.approx(transaction(len(request), bytes_[:1], baud, delay), abs=10)
     assert len(arrivals) == 5
+
+
+def test_what_is_written_before_a_read_in_one_go_takes_effect_before_it() -> None:
+    host = Host(BENTO, 1, timing=True)
+    write = host.codec.request(host.codec.sync_write(30, {1: b"\x00\x09"}))
+    read = host.codec.request(host.codec.group_read([Span(1, 30, 2)]))
+    began = host.now
+    heard = host.say(write + read)
+    (answer,) = host.codec.status_decoder().feed(heard)
+    assert answer.parameters == b"\x00\x09"
+    (written,) = [what["time"] for what in host.log if what["event"] == "goal_position"]
+    assert written == began + 10 * len(write) * us
+
+
+def test_a_request_that_was_cut_short_is_forgotten_after_a_while() -> None:
+    host = one("MX-28")
+    host.say(bytes.fromhex("FF FF 01 F0 03 19"))  # 240 bytes are to come
+    host.wait(second)
+    assert len(host.ask(Request(1, Instruction.PING))) == 1
 
 
 def test_two_who_speak_at_once_are_not_understood() -> None:

@@ -49,10 +49,11 @@ def test_it_is_unplugged_and_plugged_in_again_under_the_same_name(arm: EmulatedA
     with serial.Serial(arm.port, 1_000_000, timeout=5.0) as line:
         line.write(PING)
         assert line.read(len(PONG)) == PONG
-        arm.fault("unplug", duration="100ms")
+        arm.fault("unplug")
         assert comes(lambda: not link.is_symlink())
         with pytest.raises(serial.SerialException):
             line.read(1)
+    arm.mend()
     assert comes(link.is_symlink)
     assert asked(arm.port) == PONG
 

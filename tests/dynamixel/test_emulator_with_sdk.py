@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import dynamixel_sdk as sdk
@@ -30,6 +30,15 @@ def mini_bento(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedArm
         yield arm
 
 
+def patiently(call: Callable[[], Any]) -> Any:
+    """Call again what took longer than the SDK waits, which is 34 ms, as on a busy machine."""
+    for _ in range(5):
+        said = call()
+        if sdk.COMM_RX_TIMEOUT not in (said if isinstance(said, tuple) else (said,)):
+            break
+    return said
+
+
 class Client:
     """The SDK with an open port; numbers of a robot's models by id."""
 
@@ -43,7 +52,7 @@ class Client:
     def __getattr__(self, name: str) -> Any:
         """Return a method of the packet handler, the port given already."""
         method = getattr(self.handler, name)
-        return lambda *arguments: method(self.port, *arguments)
+        return lambda *arguments: patiently(lambda: method(self.port, *arguments))
 
 
 @pytest.fixture
@@ -77,7 +86,7 @@ def test_ping(old: Client, new: Client) -> None:
 
 
 def test_broadcast_ping(new: Client) -> None:
-    found, result = new.broadcastPing()
+    found, result = new.broadcastPing()  # it waits for 800 ms in any case
     assert result == sdk.COMM_SUCCESS
     assert {servo: number for servo, (number, _) in found.items()} == new.numbers
 
@@ -126,14 +135,14 @@ def test_protocol_2_reads_and_writes(new: Client) -> None:
 @pytest.mark.parametrize("way", ["sync", "fast sync", "bulk", "fast bulk"])
 def test_protocol_2_reads_groups(new: Client, way: str) -> None:
     bulk = "bulk" in way
-    group = (sdk.GroupBulkRead if bulk else sdk.GroupSyncRead)(new.port, new.handler, *(() if bulk else (132, 15)))
+    group = (sdk.GroupBulkRead if bulk else sdk.GroupSyncRead)(new.port, new.handler, *(() if bulk else (116, 15)))
     for servo in IDS:
-        assert group.addParam(servo, 132, 10 + servo) if bulk else group.addParam(servo)
+        assert group.addParam(servo, 116, 10 + servo) if bulk else group.addParam(servo)
     ask = {"fast sync": "fastSyncRead", "fast bulk": "fastBulkRead"}.get(way, "txRxPacket")
-    assert getattr(group, ask)() == sdk.COMM_SUCCESS
-    assert group.isAvailable(5, 132, 4)
-    singly = {servo: new.read4ByteTxRx(servo, 132)[0] for servo in (1, 3, 5)}
-    assert {servo: group.getData(servo, 132, 4) for servo in (1, 3, 5)} == singly
+    assert patiently(getattr(group, ask)) == sdk.COMM_SUCCESS
+    assert group.isAvailable(5, 116, 4)
+    singly = {servo: new.read4ByteTxRx(servo, 116)[0] for servo in (1, 3, 5)}
+    assert {servo: group.getData(servo, 116, 4) for servo in (1, 3, 5)} == singly
 
 
 def test_protocol_2_writes_groups(new: Client) -> None:

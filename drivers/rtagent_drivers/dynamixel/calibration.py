@@ -53,6 +53,12 @@ def _placing(place: str, table: Any) -> Placing:
     return Placing(direction=direction, **angles)
 
 
+def check_folder(file: Path) -> None:
+    """Raise `SpecError` where a calibration cannot be written to `file`, before a person has made it."""
+    if not file.absolute().parent.is_dir():
+        raise SpecError(f"{file}: there is no folder {file.parent}: make it first.")
+
+
 def write_calibration(file: Path, placings: Mapping[str, Placing]) -> None:
     """Write a calibration."""
     import tomli_w

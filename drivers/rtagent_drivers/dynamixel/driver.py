@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -19,7 +19,7 @@ from rtagent_drivers.dynamixel import opening
 from rtagent_drivers.dynamixel.bus import PATIENCE, Bus
 from rtagent_drivers.dynamixel.calibration import read_calibration
 from rtagent_drivers.dynamixel.codecs import codec
-from rtagent_drivers.dynamixel.faults import ALERT, is_grave, sentences
+from rtagent_drivers.dynamixel.faults import ALERT, VOLTAGE, is_grave, sentences
 from rtagent_drivers.dynamixel.limits import Reading
 from rtagent_drivers.dynamixel.orders import Order, reads_in_groups, switch, sync_writes
 from rtagent_drivers.dynamixel.packets import Status
@@ -32,6 +32,9 @@ from rtagent_drivers.serial_line import find_port, latency_timer, stable_name
 SAFE_WITHIN = 1 * second
 START_SPEED = 0.5
 """rad/s, at most, on the way to the start pose."""
+
+LATELY = 100 * ms
+"""A joint that was read longer ago (and three rounds ago) may be elsewhere by now."""
 
 FIRST_READINGS = 1 * second
 """So long every joint has to be read for the first time."""
@@ -99,6 +102,7 @@ class Dynamixel:
         self._by_actuator = {servo.axis.actuator: servo for servo in self._servos}
         self._port, self._stop, self._silence, self._home_within = port, stop, silence, home_within
         self._return_delay = return_delay
+        self._lately = max(LATELY, round(3 * second / rate))
         able = any("bus_watchdog" in servo.model.registers for servo in self._servos)
         self.tolerates = bus_watchdog if able else 0
         """How long (ns) the servos tolerate to hear nothing (0: for ever)."""
@@ -120,7 +124,7 @@ class Dynamixel:
         self._fault: LimitError | None = None
         self._lost: DisconnectedError | None = None
         self._trouble: DeviceError | None = None
-        self._not_before = self._polling_since = self._asked_at = 0
+        self._not_before = self._asked_at = 0
 
     # Life
 
@@ -153,14 +157,14 @@ class Dynamixel:
         roster = self._roster()
         self._notes = opening.check_rate(bus, roster, self.spec.rate, latency, self._path)
         await opening.set_bus_watchdogs(bus, servos, self.tolerates)
-        self._polling_since = self._now()
         bus.poll(roster, round(second / self.spec.rate), self._hear, self._lose)
         await self._first_readings()
         await self._hold_what_is_on()
 
     async def _first_readings(self) -> None:
+        ends = self._now() + FIRST_READINGS
         while silent := [servo.axis.name for servo in self._servos if servo.reading is None]:
-            if self._now() - self._polling_since > FIRST_READINGS:
+            if self._now() > ends:
                 raise DeviceError(
                     f"{', '.join(silent)} cannot be read: check cables, and the firmware of the servos."
                 )
@@ -254,7 +258,7 @@ class Dynamixel:
 
     def _hear(self, round_: Round) -> None:
         """Make a sample of a round; the next one is on its way already."""
-        values, answered = dict(self._values), 0
+        values, answered, self._trouble = dict(self._values), 0, None
         for servo in self._servos:
             status = round_.statuses.get(servo.id)
             fresh = status is not None and len(status.parameters) == servo.span.length
@@ -266,10 +270,12 @@ class Dynamixel:
                 values.update(zip(servo.sensors, reading, strict=True))
                 self._hold_against_limits(servo, reading, round_.ended)
                 answered += 1
+            else:
+                servo.miss(round_.ended)
         self._note_stall(round_.sent)
         self._values = values
         self._incomplete += answered < len(self._servos)
-        self._trouble = self._silent(round_.ended)
+        self._trouble = self._trouble or self._silent(round_.ended)
         if answered and len(values) == len(self.spec.sensors) and round_.sent >= self._not_before:
             self._sequence += 1
             middle = (round_.sent + round_.ended) // 2
@@ -294,7 +300,11 @@ class Dynamixel:
         """Return an error where a joint has been silent for too long."""
         if not self._silence:
             return None
-        late = [servo for servo in self._servos if now - max(servo.read_at, self._polling_since) > self._silence]
+        late = [
+            servo
+            for servo in self._servos
+            if servo.silent_since is not None and now - servo.silent_since > self._silence
+        ]
         if not late:
             return None
         names = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in late)
@@ -309,7 +319,7 @@ class Dynamixel:
         if not is_grave(protocol, status.error):
             return
         if protocol == 1:
-            self._accuse(servo, sentences(1, status.error))
+            self._accuse(servo, status.error, 0)
         elif status.error & ALERT and self._examining is None:
             self._examining = asyncio.get_running_loop().create_task(self._examine(servo, status.error))
 
@@ -317,16 +327,21 @@ class Dynamixel:
         """Ask a servo of protocol 2.0 what is wrong with it."""
         try:
             found = await opening.read_register(self._bus, servo, "hardware_error")
-            self._accuse(servo, sentences(2, error & ALERT, found or 0))
+            self._accuse(servo, error & ALERT, found or 0)
         except DeviceError:
             pass  # the line has gone: that is told already
         finally:
             self._examining = None
 
-    def _accuse(self, servo: Servo, said: Iterable[str]) -> None:
-        if self._fault is None:
-            self._fault = LimitError(" ".join(f"{servo.axis.name} (id {servo.id}) {each}" for each in said))
-            self._wake()
+    def _accuse(self, servo: Servo, error: int, hardware_error: int) -> None:
+        """Note what is wrong with a servo: its voltage may be better next time, all else ends the run."""
+        said = sentences(servo.model.protocol, error, hardware_error)
+        sentence = " ".join(f"{servo.axis.name} (id {servo.id}) {each}" for each in said)
+        if said == [VOLTAGE]:
+            self._trouble = self._trouble or DeviceError(sentence)
+        elif self._fault is None:
+            self._fault = LimitError(sentence)
+        self._wake()
 
     def _lose(self, error: DisconnectedError) -> None:
         self._lost = error
@@ -374,6 +389,9 @@ class Dynamixel:
         if not off:
             return
         now = self._now()
+        unseen = [servo.axis.name for servo in off if now - servo.read_at > self._lately]
+        if unseen:
+            raise DeviceError(f"{', '.join(unseen)} was not read lately, so that its torque is not switched on.")
         staying = {servo.id: servo.stay(now) for servo in off}
         on = {servo.id: switch(servo.model, on=True) for servo in off}
         requests = [*sync_writes(self._bus.codec, staying), *sync_writes(self._bus.codec, on)]

@@ -27,10 +27,13 @@ class Layout:
     def values(self, data: bytes) -> list[float]:
         """Return what the registers say in their SI units, in the order in which they were given."""
         counts = zip(self._struct.unpack(data), self._scales, strict=True)
-        values = [
-            ((sign - raw if sign and raw & sign else raw) - zero) * scale for raw, (zero, scale, sign) in counts
-        ]
+        values = [((_signed(raw, sign) if sign else raw) - zero) * scale for raw, (zero, scale, sign) in counts]
         return [values[place] for place in self._places]
+
+
+def _signed(raw: int, sign: int) -> int:
+    magnitude = raw & sign - 1
+    return -magnitude if raw & sign else magnitude
 
 
 def _codes(ordered: Sequence[Register]) -> Sequence[str]:

@@ -84,7 +84,7 @@ class JointLimits:
         self._heavy_since = now if self._heavy_since < 0 else self._heavy_since
         if now - self._heavy_since < LOAD_PATIENCE:
             return None
-        return f"{self._axis.name} bears {load:.0%} of its full load, more than max_load: see what blocks it."
+        return f"{self._axis.name} bears {abs(load):.0%} of its full load, more than max_load: see what blocks it."
 
     def _is_outward(self, value: float, position: float) -> bool:
         low, high = self._axis.low, self._axis.high

@@ -49,7 +49,9 @@ async def _mended(port: str, servo: Found) -> Found:
 
 def _findings(port: str, servo: Found) -> Sequence[Finding]:
     """Return a finding for a servo, and one more for each further problem."""
-    names = " or ".join(model.name for model in servo.models) or f"unknown model {servo.number}"
+    names = " or ".join(model.name for model in servo.models) or (
+        f"unknown model {servo.number}" if servo.number else "did not tell its model"
+    )
     torque = {None: "", True: ", torque on", False: ", torque off"}[servo.torque]
     value = (
         f"{names}, firmware {servo.firmware}, protocol {servo.protocol}.0 at {servo.baud} bit/s,"
@@ -75,4 +77,6 @@ def _delay(port: str, servo: Found) -> list[tuple[str, str]]:
 def _unknown(servo: Found) -> list[tuple[str, str]]:
     if servo.models:
         return []
+    if not servo.number:
+        return [("it answered, but not when asked for its model.", "try again; then look at its cable.")]
     return [("its model is not known here.", "use servos of a known model (see docs/scenarios.md).")]

@@ -54,6 +54,7 @@ class Servo:
         """Forget what was known, as when the line was lost."""
         self.reading: Reading | None = None
         self.read_at = 0
+        self.silent_since: int | None = None
         self.error = 0
         self.on = False
         self.limits.reset()
@@ -69,8 +70,13 @@ class Servo:
             temperature,
             voltage,
         )
-        self.read_at = now
+        self.read_at, self.silent_since = now, None
         return self.reading
+
+    def miss(self, now: int) -> None:
+        """Note that it did not answer, at `now` (ns)."""
+        if self.silent_since is None:
+            self.silent_since = now
 
     def told(self, value: Value, now: int) -> Told:
         """Return the order for a command, after limits; raise `SpecError` for what is no number."""

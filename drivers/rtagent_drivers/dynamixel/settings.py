@@ -173,7 +173,7 @@ def find_model(name: str, protocol: int) -> Model:
 
 def _axis(name: str, joint: Joint, model: Model, placing: Placing | None) -> Axis:
     if joint.mode not in model.modes:
-        raise SpecError(f"{name}: a {model.name} has no mode {joint.mode!r}: use one of {', '.join(model.modes)}.")
+        raise SpecError(f"{name}: {model.name} has no mode {joint.mode!r}: use one of {', '.join(model.modes)}.")
     placed = placing or Placing()
     if placing is not None and (joint.zero is not None or joint.direction is not None):
         raise SpecError(f"{name}: zero and direction are in the calibration: leave them out of the joint.")

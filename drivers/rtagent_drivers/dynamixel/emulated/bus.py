@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rtagent.errors import SpecError
@@ -60,9 +60,8 @@ class EmulatedBus:
         if now - self._heard_at > PATIENCE:
             self._decoder.reset()
         self._heard_at = now
-        requests = self._decoder.feed(data)
-        for request in requests:
-            self._take(end - self._behind(request, requests), request)
+        for behind, request in self._with_what_is_behind(self._decoder.feed(data)):
+            self._take(end - behind, request)
 
     def due(self) -> int | None:
         """Return when (ns) something happens by itself next: bytes come, a fault begins, a servo lets go."""
@@ -98,10 +97,11 @@ class EmulatedBus:
         names = ", ".join(servo.joint.name for servo in self.servos)
         raise SpecError(f"there is no joint {name!r}: use one of {names}.")
 
-    def _behind(self, request: Request, requests: Sequence[Request]) -> int:
-        """Return how long (ns) what stands behind a request takes on the wire."""
-        rest = requests[[id(each) for each in requests].index(id(request)) + 1 :]
-        return sum(self._line.duration(self._codec.request(each), self._baud) for each in rest)
+    def _with_what_is_behind(self, requests: Sequence[Request]) -> Iterator[tuple[int, Request]]:
+        """Yield requests that came together, each with how long (ns) the others take that stand behind it."""
+        take = [self._line.duration(self._codec.request(request), self._baud) for request in requests]
+        for number, request in enumerate(requests, start=1):
+            yield sum(take[number:]), request
 
     def _take(self, time: int, request: Request) -> None:
         hearing = [servo for servo in self.servos if servo.hears(time, self._baud)]

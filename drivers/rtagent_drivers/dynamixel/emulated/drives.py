@@ -6,7 +6,7 @@ from typing import Literal
 
 from rtagent_drivers.dynamixel.control_table import Model
 from rtagent_drivers.dynamixel.emulated.memory import Memory
-from rtagent_drivers.dynamixel.physics import LIMP, Approach, Drive, Push, Turn
+from rtagent_drivers.dynamixel.steps import LIMP, Approach, Drive, Push, Turn
 
 SWIFT = 40.0
 """Acceleration (rad/s²) of a servo that has no profile set; its torque limits it further."""

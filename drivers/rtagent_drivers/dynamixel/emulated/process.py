@@ -16,13 +16,13 @@ from rtagent.errors import RtagentError
 from rtagent.units import second, us
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
 
-SPIN = 200 * us
+SPIN = 50 * us
 """The last stretch before something is due is spent looking at the clock, with true timing."""
 
-ATTENTIVE = 300 * us
-"""So long after the last byte it waits for the next one without sleeping, with true timing."""
-
 STDIN = 0
+
+NICENESS = -10
+"""A device has a processor of its own: it waits for no other process, where the system grants that."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class Emulator:
         self._bus, self._do, self._terminal, self._way = bus, obey, terminal, way
         self._now: Callable[[], int] = RealClock.now
         self._orders = b""
-        self._active_at = 0
         self._ends_at: int | None = None
 
     def run(self, ready: Callable[[], None]) -> None:
         """Go on until the end; call `ready` once programs can open the link."""
+        _ask_for_priority()
         fine_timer_slack()
         with TimerfdSelector() as self._selector:
             self._listen_to_orders()
@@ -88,7 +88,6 @@ class Emulator:
             self._unplug() if self._bus.unplugged else self._plug()
         if data and not self._bus.unplugged:
             self._terminal.write(data)
-            self._active_at = now
 
     def _due(self) -> int | None:
         times = (self._bus.due(), self._ends_at)
@@ -96,12 +95,9 @@ class Emulator:
 
     def _patience(self, due: int | None) -> float | None:
         """Return how long (s) to sleep at most; None: until something comes."""
-        now = self._now()
-        if self._way.timing and now - self._active_at < ATTENTIVE:
-            return 0.0
         if due is None:
             return None
-        return max(0, due - now - (SPIN if self._way.timing else 0)) / second
+        return max(0, due - self._now() - (SPIN if self._way.timing else 0)) / second
 
     def _await(self, due: int | None) -> int:
         """Look at the clock until what is due very soon is due; return the time."""
@@ -113,8 +109,7 @@ class Emulator:
 
     def _take_bytes(self) -> None:
         data = self._terminal.read()
-        self._active_at = self._now()
-        self._bus.receive(self._active_at, data, self._terminal.baud())
+        self._bus.receive(self._now(), data, self._terminal.baud())
 
     def _take_orders(self) -> None:
         data = os.read(STDIN, 65536)
@@ -149,3 +144,8 @@ class Emulator:
     def _unplug(self) -> None:
         self._selector.unregister(self._terminal.fileno)
         self._terminal.unplug()
+
+
+def _ask_for_priority() -> None:
+    with contextlib.suppress(PermissionError):
+        os.nice(NICENESS)

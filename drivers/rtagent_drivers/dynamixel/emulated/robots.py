@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from rtagent.errors import SpecError
 from rtagent.units import Angle, Baud, Duration
 from rtagent_drivers.dynamixel.emulated.faults import CLOSED_SETTINGS
-from rtagent_drivers.dynamixel.physics import Body
+from rtagent_drivers.dynamixel.steps import Body
 
 WEIGHTLESS = Body()
 
@@ -29,6 +30,11 @@ class Joint:
     start: Angle = 0.0
     baud: Baud = 1_000_000
     return_delay: Duration = 0
+
+    def __post_init__(self) -> None:
+        if not self.body.low <= self.start <= self.body.high:
+            low, high = self.body.low, self.body.high
+            raise SpecError(f"{self.name} cannot be at {self.start:g} rad: its stops are at {low:g} and {high:g}.")
 
 
 STOP = 2.6

@@ -12,7 +12,8 @@ from rtagent_drivers.dynamixel.emulated.drives import beyond_limits, drive, mode
 from rtagent_drivers.dynamixel.emulated.memory import Memory, Refusal
 from rtagent_drivers.dynamixel.emulated.robots import Joint
 from rtagent_drivers.dynamixel.models import by_name
-from rtagent_drivers.dynamixel.physics import LIMP, Drive, Hand, Motion, State
+from rtagent_drivers.dynamixel.physics import Motion, State
+from rtagent_drivers.dynamixel.steps import LIMP, Drive, Hand
 
 VOLTAGE_ERROR, OVERHEATED, OVERLOADED = 0x01, 0x04, 0x20
 """Bits of the errors of protocol 1.0, and of the register hardware_error of 2.0."""
