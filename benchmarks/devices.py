@@ -1,4 +1,4 @@
-"""Devices: servos (codec, emulated bus, driver, safety), boards and webcams, each beside what it is measured against.
+"""Devices: servos (codec, emulated bus, driver, safety), boards and webcams.
 
 Name parts to measure only those: codec, emulator, bus, safety, arduino, webcam.
 """
