@@ -62,7 +62,7 @@ async def _measured(board: Simulated) -> tuple[float, Mapping[str, int], list[fl
             await device.read((await device.read(-1)).sequence + 500)
             ended, last = board.tell("time"), (await device.read(-1)).sequence
         steps = [await _step(board, device, 1023 * (number % 2)) for number in range(1, STEPS)]
-        return (last - first + 0.5) / ((ended - began) / second), dict(device.counters), steps
+        return (last - first) / ((ended - began) / second), dict(device.counters), steps
 
 
 async def _step(board: Simulated, device: Arduino, reading: int) -> float:

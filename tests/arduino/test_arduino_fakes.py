@@ -108,10 +108,10 @@ def test_bodies_are_functions_of_time_that_their_seed_decides() -> None:
 
 def test_hand_and_glove_are_observed_together_by_their_newest_samples() -> None:
     path = SCENARIOS / "grasp_recording.toml"
-    faked = ["run.fake=process", "run.clock=virtual", "run.episode_time=5s"]
+    faked = ["run.fake=process", "run.clock=virtual", "run.episode_time=2s"]
     assembly = assemble(load(path, faked))
     result = clock.run(assembly.run(), "virtual")
-    assert result.episodes[0].steps == pytest.approx(350, abs=2)
+    assert result.episodes[0].steps == pytest.approx(140, abs=2)
     assert len(assembly.devices) >= 2
 
 
