@@ -404,10 +404,13 @@ class Dynamixel:
         for _ in range(TRIES):
             await self._bus.send("switch on " + ",".join(map(str, staying)), *requests)
             for servo in off:
-                servo.on = await self._has_torque(servo)
-            if all(servo.on for servo in off):
+                servo.on = True  # as far as is known: a stop that comes now has to hold it
+            off = [servo for servo in off if not await self._has_torque(servo)]
+            if not off:
                 return
-        limp = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in off if not servo.on)
+        for servo in off:
+            servo.on = False
+        limp = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in off)
         raise DeviceError(f"torque did not go on: {limp}. Look with `rtagent devices` whether it has shut down.")
 
     async def _has_torque(self, servo: Servo) -> bool:
