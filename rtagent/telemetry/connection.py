@@ -47,7 +47,7 @@ class Access(msgspec.Struct, frozen=True):
 
     @property
     def can_be_started(self) -> bool:
-        """Whether a router could be started at the endpoint: it is of this machine, and needs nothing that is missing."""
+        """Whether a router could be started at the endpoint: on this machine, with all that it needs."""
         protocol, _, address = self.endpoint.partition("/")
         return address.rsplit(":", 1)[0] in LOCAL and (protocol == "tcp" or bool(self.certificate and self.key))
 
@@ -67,7 +67,7 @@ def open_client(access: Access) -> Session:
     if not _listens(access.endpoint):
         if not access.can_be_started:
             raise TelemetryError(
-                f"nothing listens at {access.endpoint}: start a run there, or give another endpoint."
+                f"nothing listens at {access.endpoint}: start a run there, or give another one."
             )
         _start_router(access)
     settings = _common(access) | {
@@ -75,7 +75,7 @@ def open_client(access: Access) -> Session:
         "connect/endpoints": [access.endpoint],
         "connect/timeout_ms": TIMEOUT,
         "connect/exit_on_failure": True,
-        "connect/retry/period_init_ms": 500,
+        "connect/retry": {"period_init_ms": 500, "period_max_ms": 1000, "period_increase_factor": 2},
     }
     try:
         session: Session = zenoh.open(config(settings))
