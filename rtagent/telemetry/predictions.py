@@ -25,6 +25,6 @@ class Newest:
     def __call__(self) -> bytes:
         """Return the predictions, about the next state of the transition that was learned last."""
         if self._all:
-            return b"".join([learned.estimate for learned in self._learned])
+            return b"".join([learned.estimate.data for learned in self._learned])
         parts = zip(self._learned, self._watched, strict=True)
-        return b"".join([learned.estimate[watched] for learned, watched in parts])
+        return b"".join([learned.estimate[watched].data for learned, watched in parts])
