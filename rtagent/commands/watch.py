@@ -44,7 +44,9 @@ async def _watch(agent: str, access: Access, *, once: bool) -> None:
     try:
         if once:
             await asyncio.wait({listening, connected}, return_when=asyncio.FIRST_COMPLETED)
-            await asyncio.wait({listening}, timeout=ONCE)
+            for _ in range(2):  # a rate is between two looks
+                _drawn(runs, console.width)
+                await asyncio.wait({listening}, timeout=ONCE / 2)
             if not listening.done():
                 console.print(_drawn(runs, console.width))
         else:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 from parts import SCENARIOS
 
-from rtagent import Latch
 from rtagent.__main__ import main
 from rtagent.errors import ScenarioError
-from rtagent.scenario import assemble, load
+from rtagent.scenario import load
+from rtagent.telemetry import wishes
 from rtagent.telemetry.connection import Access, TelemetryError, open_client
 from rtagent.telemetry.keys import Place, as_chunk, place_of
-from rtagent.telemetry.wishes import access_of, open_telemetry
+from rtagent.telemetry.wishes import access_of
 
 STOPPING = SCENARIOS / "stopping.toml"
 CLOSED = ("telemetry.users=u", "telemetry.certificate=c", "telemetry.key=k")
@@ -42,9 +43,25 @@ def test_what_is_closed_to_strangers_is_taken() -> None:
 
 
 @pytest.mark.parametrize("settings", [["run.clock=virtual"], ["telemetry.enabled=false"]])
-def test_a_run_that_is_neither_published_nor_recorded_has_no_sender(settings: list[str]) -> None:
-    scenario = load(STOPPING, settings)
-    assert open_telemetry(scenario, assemble(scenario), Latch(), None) is None
+def test_a_run_that_is_neither_published_nor_recorded_has_no_sender(
+    settings: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not load(STOPPING, settings).model.published
+    monkeypatch.setattr(wishes, "open_telemetry", pytest.fail)
+    options = ["run.clock=virtual", "run.episodes=1", *settings]
+    assert main(["run", str(STOPPING), "--quiet", *(part for each in options for part in ("--set", each))]) == 0
+
+
+def test_where_a_package_is_missing_the_run_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("rtagent.telemetry")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "msgspec", None)
+    options = ["--clock", "virtual", "--quiet", "--episodes", "1", "--record", str(tmp_path / "run.mcap")]
+    assert main(["run", str(STOPPING), *options]) == 0
+    assert "pip install msgspec" in capsys.readouterr().err
+    assert not (tmp_path / "run.mcap").exists()
 
 
 def test_a_place_is_found_again_in_its_keys() -> None:
