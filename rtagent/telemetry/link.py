@@ -97,14 +97,17 @@ class Link:
     def _listen(self) -> None:
         """Take what the sender says, until it ends."""
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            said = json.loads(line)
-            if "trouble" in said:
-                self.collector.troubles.append(said["trouble"])
-            elif "command" in said:
-                self._obey(said["command"], said["text"])
-            elif "closed" in said:
-                self.closed = said["closed"]
+        with self._process.stdout as lines:
+            for line in lines:
+                self._hear(json.loads(line))
+
+    def _hear(self, said: Mapping[str, Any]) -> None:
+        if "trouble" in said:
+            self.collector.troubles.append(said["trouble"])
+        elif "command" in said:
+            self._obey(said["command"], said["text"])
+        elif "closed" in said:
+            self.closed = said["closed"]
 
     @property
     def pid(self) -> int:
@@ -147,8 +150,6 @@ class Link:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE if not self._listener.is_alive() else 0)
         self._process.returncode = 0
-        if not self._listener.is_alive() and self._process.stdout is not None:
-            self._process.stdout.close()
         os.close(self._fd)
 
 

@@ -104,7 +104,7 @@ def test_of_a_run_that_is_killed_with_its_sender_a_second_is_missing_at_most(tmp
     there, path = access(), tmp_path / "killed.mcap"
     with connected(there) as session, running(there, scenario=HORDE, record=path) as process:
         until(lambda: living(session), "the run")
-        time.sleep(random.Random(seed).uniform(0.5, 1.5))  # nothing secret is drawn
+        time.sleep(random.Random(seed).uniform(0.5, 1.5))
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         moment = time.monotonic_ns()
         for each in (process.pid, *map(int, children)):
