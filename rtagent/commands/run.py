@@ -60,7 +60,7 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
         if progress:
             progress.close()
         if telemetry:
-            _tell_refused(telemetry.close("" if result is None else "done" if failure is None else str(failure)))
+            _tell_refused(telemetry.close(_end_in_words(result, failure)))
     if not arguments.quiet:
         print_report(result, out)
     _tell_refused(granted.refused[told:])
@@ -68,6 +68,13 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
     return 0 if failure is None and not result.not_safe and result.learned_all else 1
+
+
+def _end_in_words(result: Result | None, failure: RunError | None) -> str:
+    """Return how a run ended, for its telemetry."""
+    if failure is not None:
+        return str(failure)
+    return "done" if result is not None else "it could not be run"
 
 
 def _open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link | None:

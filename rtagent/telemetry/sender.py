@@ -106,12 +106,9 @@ class Sender:
     def end(self) -> None:
         """Tell what is missing, close the session, and end the recording."""
         self._emit(self._counters())
-        closed = self._recorder is None or self._recorder.close(CLOSING)
         if self._publisher is not None:
             self._publisher.close(CLOSING)
-        _tell(closed=closed)
-        if not closed and self._recorder is not None:
-            self._recorder.close(WRITING_OUT)
+        _tell(closed=self._recorder is None or self._recorder.close(WRITING_OUT))
 
     def _send_some(self) -> bool:
         """Send what waits, but not too much at once; say whether there was something."""
