@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rtagent.agent import Agent
+from rtagent.checkpoint.plain import restored_transition, save_transition
 from rtagent.clock import Clock
 from rtagent.experience import Transition
 from rtagent.learn import Full, Learn
 from rtagent.recorder import Recorder
+from rtagent.saving import Saved
 
 IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "learned_under_backpressure"
 
@@ -45,6 +47,15 @@ class Update:
         self._learner = learner
         self._sliced = sliced and hasattr(learner, "updating")
         self._pieces: Generator[bool | None, None, float] | None = None
+
+    @property
+    def begun(self) -> bool:
+        """Whether the learner has done a piece of it: it cannot be saved then."""
+        return self._pieces is not None
+
+    def save(self) -> Saved:
+        """Return the transition and what is left of its cost: nothing of it has been learned."""
+        return {"transition": save_transition(self.transition), "cost": self.cost, "suspended": self.suspended}
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
@@ -87,6 +98,12 @@ class Backlog:
     def take(self, sliced: bool) -> Update:
         """Take the oldest transition out of the queue, to learn it."""
         return Update(self._agent.learner, self.queue.popleft(), self.desk.cost(), sliced)
+
+    def again(self, saved: Mapping[str, Any], sliced: bool) -> Update:
+        """Return an update that was saved; nothing of it has been learned."""
+        update = Update(self._agent.learner, restored_transition(saved["transition"]), saved["cost"], sliced)
+        update.suspended = saved["suspended"]
+        return update
 
     def step(self, update: Update) -> bool:
         """Do a piece of an update; say whether it is over: done, or failed."""

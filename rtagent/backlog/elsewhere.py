@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from rtagent.backlog.backlog import UNDER_PRESSURE, Backlog, Update
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.units import second
 
@@ -24,17 +25,30 @@ class Processor(Protocol):
     gate: AbstractContextManager[Any]
     weights: AbstractContextManager[Any]
 
+    @property
+    def busy(self) -> bool:
+        """Whether it is at work on one that it took."""
+
     def start(self, backlog: Backlog, over: Callable[[Update, BaseException | None], None]) -> None:
         """Begin to work."""
-
-    def wake(self) -> None:
-        """Say that transitions wait."""
 
     def next_event(self, now: int) -> int | None:
         """Return when (ns) it will be done with what it does, where that is known."""
 
     def close(self) -> None:
         """End; what it was doing is left where it is."""
+
+    def settle(self) -> bool:
+        """Begin nothing more, and say whether nothing is half done."""
+
+    def unsettle(self) -> None:
+        """Go on; transitions may wait."""
+
+    def save(self) -> Saved | None:
+        """Return what it is doing, if anything; nothing of it is done yet."""
+
+    def restore(self, saved: Saved | None) -> None:
+        """Go on with what was saved."""
 
 
 class Elsewhere:
@@ -68,7 +82,7 @@ class Elsewhere:
         """Hand over what waits; where no device paces the cycle, wait until it is learned or something is new."""
         await self.relieve()
         if self._queue:
-            self._processor.wake()
+            self._processor.unsettle()
         if not self._senses.paced and self.length:
             self._senses.watch()
             while self.length and not self._senses.news():
@@ -84,7 +98,7 @@ class Elsewhere:
                 while backlog.overfull:
                     backlog.shed()
             return
-        self._processor.wake()
+        self._processor.unsettle()
         self._pressed = True
         while backlog.overfull:
             await asyncio.wait({self._progress})
@@ -102,8 +116,25 @@ class Elsewhere:
         """End learning."""
         self._processor.close()
 
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; until `unsettle` nothing more is begun."""
+        return self._processor.settle() and self._over == self._processor.taken - self._processor.busy
+
+    def unsettle(self) -> None:
+        """Let learning go on."""
+        self._processor.unsettle()
+
+    def save(self) -> Saved:
+        """Return what is being learned; the queue is the agent's."""
+        return {"doing": self._processor.save(), "failed": self.backlog.failed, "called": self.called}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self.backlog.failed, self.called = saved["failed"], saved["called"]
+        self._processor.restore(saved["doing"])
+
     async def _learn_until(self, deadline: int | None) -> None:
-        self._processor.wake()
+        self._processor.unsettle()
         while self.length and (deadline is None or self._clock.now() < deadline):
             left = None if deadline is None else (deadline - self._clock.now()) / second
             await asyncio.wait({self._progress}, timeout=left)

@@ -11,6 +11,7 @@ from typing import Any
 from rtagent.backlog.backlog import DEFERRED, IN_PLACE, UNDER_PRESSURE, Backlog
 from rtagent.clock import ready_counter
 from rtagent.learn import When
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
 
@@ -93,6 +94,34 @@ class Inline:
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
+
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; `wait`: see to it."""
+        update = self.backlog.current
+        if update is not None and update.begun and wait:
+            while not self.backlog.step(update):
+                pass
+            self.backlog.end(update)
+        return self.backlog.current is None or not self.backlog.current.begun
+
+    def unsettle(self) -> None:
+        """Do nothing: it went on."""
+
+    def save(self) -> Saved:
+        """Return the update whose cost has partly passed, if any, and what was counted."""
+        current = self.backlog.current
+        return {
+            "current": None if current is None else current.save(),
+            "failed": self.backlog.failed,
+            "called": self.called,
+            "in_place": self._in_place,
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        current, backlog = saved["current"], self.backlog
+        backlog.current = None if current is None else backlog.again(current, sliced=bool(backlog.rules.slice))
+        backlog.failed, self.called, self._in_place = saved["failed"], saved["called"], saved["in_place"]
 
     def _learn_at_once(self) -> None:
         """Learn all that waits, each in one piece and at no cost but its own: what is done in every cycle."""

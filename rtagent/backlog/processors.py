@@ -10,6 +10,7 @@ from typing import Any
 
 from rtagent.backlog.backlog import Backlog, Update
 from rtagent.clock import occupy
+from rtagent.saving import Saved
 
 JOIN_TIMEOUT = 1.0
 """So long (s) is waited for a thread whose learner does not return."""
@@ -26,7 +27,7 @@ class LearnerThread:
         self.gate: AbstractContextManager[Any] = threading.Lock()
         self.weights: AbstractContextManager[Any] = _Turn(self.gate, threading.Lock())
         self._waiting = threading.Semaphore(0)
-        self._closing = False
+        self._closing = self._pausing = False
         self._thread = threading.Thread(target=self._work, name="rtagent-learner", daemon=True)
 
     def start(self, backlog: Backlog, over: Over) -> None:
@@ -34,13 +35,32 @@ class LearnerThread:
         self._backlog, self._over, self._loop = backlog, over, asyncio.get_running_loop()
         self._thread.start()
 
-    def wake(self) -> None:
-        """Say that transitions wait."""
-        self._waiting.release()
-
     def next_event(self, now: int) -> int | None:
         """Return None: when it will be done is not known."""
         return None
+
+    @property
+    def busy(self) -> bool:
+        """Whether it is at work."""
+        return self.update is not None
+
+    def settle(self) -> bool:
+        """Begin nothing more, and say whether nothing is half done."""
+        with self.gate:
+            self._pausing = True
+            return self.update is None
+
+    def unsettle(self) -> None:
+        """Go on; transitions may wait."""
+        self._pausing = False
+        self._waiting.release()
+
+    def save(self) -> Saved | None:
+        """Return None: it is saved when it does nothing."""
+        return None
+
+    def restore(self, saved: Saved | None) -> None:
+        """Do nothing: it did nothing."""
 
     def close(self) -> None:
         """End after the piece of work that it is at."""
@@ -64,7 +84,8 @@ class LearnerThread:
 
     def _take(self) -> Update | None:
         with self.gate:
-            self.update = self._backlog.take(sliced=True) if self._backlog.queue else None
+            takes = bool(self._backlog.queue) and not self._pausing
+            self.update = self._backlog.take(sliced=True) if takes else None
             self.taken += self.update is not None
         return self.update
 
@@ -116,17 +137,39 @@ class SecondProcessor:
         """Begin to work."""
         self._backlog, self._over, self._loop = backlog, over, asyncio.get_running_loop()
 
-    def wake(self) -> None:
-        """Say that transitions wait."""
+    def unsettle(self) -> None:
+        """Go on; transitions may wait."""
         if self.update is None and self._backlog.queue:
-            self.update = self._backlog.take(sliced=False)
-            self.taken += 1
-            self._until = self._backlog.desk.clock.now() + self.update.cost
-            self._timer = self._loop.call_later(self.update.cost / 1e9, self._finish, self.update)
+            update = self._backlog.take(sliced=False)
+            self._learn(update, self._backlog.desk.clock.now() + update.cost)
+
+    def _learn(self, update: Update, until: int) -> None:
+        self.update, self._until = update, until
+        self.taken += 1
+        left = until - self._backlog.desk.clock.now()
+        self._timer = self._loop.call_later(left / 1e9, self._finish, update)
 
     def next_event(self, now: int) -> int | None:
         """Return when (ns) it will be done."""
         return None if self.update is None else self._until
+
+    @property
+    def busy(self) -> bool:
+        """Whether the cost of an update passes."""
+        return self.update is not None
+
+    def settle(self) -> bool:
+        """Say yes: an update is learned in one piece, when its cost has passed."""
+        return True
+
+    def save(self) -> Saved | None:
+        """Return the update whose cost passes, and when (ns) it will have passed."""
+        return None if self.update is None else self.update.save() | {"until": self._until}
+
+    def restore(self, saved: Saved | None) -> None:
+        """Go on with what was saved."""
+        if saved is not None:
+            self._learn(self._backlog.again(saved, sliced=False), saved["until"])
 
     def close(self) -> None:
         """End; what it was doing is left."""
@@ -142,4 +185,4 @@ class SecondProcessor:
             error = raised
         self.update, update.spent = None, update.cost
         self._over(update, error)
-        self.wake()
+        self.unsettle()

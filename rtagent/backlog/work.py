@@ -11,6 +11,7 @@ from rtagent.backlog.elsewhere import Elsewhere
 from rtagent.backlog.in_loop import Inline, InLoop
 from rtagent.backlog.processors import LearnerThread, SecondProcessor
 from rtagent.learn import Where
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
 
@@ -47,6 +48,21 @@ class Work(Protocol):
 
     def close(self) -> None:
         """End learning."""
+
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; `wait`: see to it, if it can be done now.
+
+        Until `unsettle` nothing more is begun elsewhere.
+        """
+
+    def unsettle(self) -> None:
+        """Let learning go on."""
+
+    def save(self) -> Saved:
+        """Return what is being learned, and what was counted; the queue is the agent's."""
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
 
 
 def make_work(
