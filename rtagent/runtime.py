@@ -318,7 +318,8 @@ class Runtime:
         return {"work": self.work.save(), "costs": save_stream(self._costs_rng)}
 
     def restore(self, saved: Saved) -> None:
-        """Take what `save` returned."""
+        """Take what `save` returned; the newest episode of the recorder is the last one, or goes on."""
+        self._episode = self._recorder.episodes[-1]
         self._costs_rng = restored_stream(saved["costs"])
         self.work.restore(saved["work"])
         if saved["work"]["failed"]:
@@ -340,8 +341,8 @@ class Runtime:
         }
 
     def restore_episode(self, saved: Saved) -> None:
-        """Take what `save_episode` returned: the newest episode of the recorder goes on."""
-        self._episode, self._over = self._recorder.episodes[-1], False
+        """Take what `save_episode` returned."""
+        self._over = False
         self._changed, self._latest, self._last_step = (saved[name] for name in EPISODE)
         self._task.restore(saved["task"])  # type: ignore[attr-defined]  # what could be saved can be restored
         self._reactions.restore(saved["reactions"], self._episode.reactions)

@@ -160,7 +160,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _packed(value: Any, arrays: list[NDArray[Any]], end: list[int]) -> Any:
-    """Return what JSON can hold of a value, its arrays being put into a list; `end` is where the next one begins."""
+    """Return what JSON can hold of a value, its arrays put into a list; `end` is where the next begins."""
     if isinstance(value, Mapping):
         return {_name(name): _packed(each, arrays, end) for name, each in value.items()}
     if isinstance(value, list | tuple):

@@ -42,7 +42,7 @@ class Kept(Protocol):
 
     @property
     def settled(self) -> bool:
-        """Whether it can be captured in the middle of an episode now; learning may be held back until `unsettle`."""
+        """Whether it can be captured within an episode now; learning may be held back until `unsettle`."""
 
     def unsettle(self) -> None:
         """Let learning go on."""
@@ -51,11 +51,11 @@ class Kept(Protocol):
         """Finish what is half learned, if that can be done now; say whether nothing is."""
 
     def capture(self, within_episode: bool) -> Saved:
-        """Return all that is needed to go on with it from here; raise `SpecError` where something cannot be saved."""
+        """Return all that is needed to go on from here; raise `SpecError` where something cannot be saved."""
 
 
 class Keeper:
-    """Keeps the newest checkpoint of a run in a file; `about` tells of the run, `resumed` is what it goes on from."""
+    """Keeps the newest checkpoint of a run in a file; `about` tells of the run, which goes on from `resumed`."""
 
     def __init__(
         self,
@@ -108,8 +108,9 @@ class Keeper:
 
     async def written(self) -> None:
         """Wait until nothing is being written."""
-        if self._writing is not None and not self._writing.done():
+        if self._writing is not None:
             await asyncio.wait({self._writing})
+            await asyncio.sleep(0)  # so that what failed is told
 
     def _keep(self, within_episode: bool) -> None:
         began = self._clock.now()
@@ -125,14 +126,16 @@ class Keeper:
         self.taken.append(self._clock.now() - began)
         if self._clock.virtual:
             self._write(saved)
-        else:
-            self._writing = asyncio.get_running_loop().run_in_executor(None, self._write, saved)
+            return
+        loop = asyncio.get_running_loop()
+        self._writing = loop.run_in_executor(None, self._write, saved, loop.call_soon_threadsafe)
 
-    def _write(self, saved: Saved) -> None:
+    def _write(self, saved: Saved, call: Callable[..., object] = lambda hook, *args: hook(*args)) -> None:
+        """Write it, in whatever thread; what went wrong is told by a `call` on the loop."""
         try:
             write(self.path, self._about, saved)
         except RtagentError as error:
-            self._report("checkpoint", f"the checkpoint before stays, if there is one: {error}")
+            call(self._report, "checkpoint", f"the checkpoint before stays, if there is one: {error}")
 
     def _put_off(self) -> None:
         self._due = self._clock.now() + self._rules.every if self._rules.every else NEVER

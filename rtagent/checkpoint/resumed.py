@@ -10,7 +10,7 @@ from rtagent.saving import Saved
 
 
 class Resumed:
-    """Where a run goes on: in which `trial`, of which so many `episodes` have begun, the last one being `open` or not.
+    """Where a run goes on: in which `trial`, how many `episodes` of it have begun, and whether the last is `open`.
 
     `exact`: the world was saved too, and the run goes on as if it had never stopped. Otherwise it goes on with the
     next episode, and with all that was learned.
