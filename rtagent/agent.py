@@ -123,8 +123,17 @@ class Agent:
         if not self._fresh or self.policy is None or self._features is None:
             raise ScheduleError("choose needs an observation newer than the last choice, and a policy.")
         values = self.learner.action_values(self._features)  # type: ignore[union-attr]  # control was checked before
-        action, probability = self.policy.choose(values, self.rng)
-        chosen = self.chosen = Decision(self._state, self._features, self._observed_at, action, probability)
+        return self._decide(*self.policy.choose(values, self.rng))
+
+    def follow(self, action: int, probability: float) -> Decision:
+        """Take an action that was chosen before, as in a recording; raise `ScheduleError` as `choose` does."""
+        if not self._fresh or self._features is None:
+            raise ScheduleError("an action that is followed needs an observation newer than the last choice.")
+        return self._decide(action, probability)
+
+    def _decide(self, action: int, probability: float) -> Decision:
+        features = cast("FeatureVector", self._features)
+        chosen = self.chosen = Decision(self._state, features, self._observed_at, action, probability)
         self._fresh = False
         if self._incomplete is not None:
             self._complete(action)

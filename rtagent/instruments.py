@@ -27,6 +27,9 @@ class Instrument:
     def observed(self, observation: Observation, stimuli: Sequence[Stimulus]) -> None:
         """The agent observed; `stimuli` are those that this observation is the first to contain."""
 
+    def had_learned(self, transitions: int, pieces: int) -> None:
+        """So much was learned at the choice that follows: whole transitions, and pieces of the next one."""
+
     def chose(self, action: int, probability: float, time: int) -> None:
         """The agent chose an action."""
 

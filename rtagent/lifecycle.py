@@ -83,10 +83,11 @@ async def run(
 
     `agent` is an agent, or what makes one from a random generator: each trial begins with a new one.
     `costs` (virtual clock only) are what components cost. Tripping `latch` stops the run; `watchdog` is for runs
-    with guarded devices. `keeper` keeps checkpoints, and has the one to go on from. Raises `RunError`, which carries
-    the result so far, when the run was stopped, a device died, or something raised; `ScheduleError`, `SpecError`,
-    `RunStuckError` or `CheckpointError` before anything is opened when the parts do not fit, and `StoppedError` where
-    hardware is latched. In every case the devices have been made safe.
+    with guarded devices. `keeper` keeps checkpoints, and has the one to go on from.
+
+    Raises `RunError`, which carries the result so far, when the run was stopped, a device died, or something
+    raised; `ScheduleError`, `SpecError`, `RunStuckError` or `CheckpointError` before anything is opened when the
+    parts do not fit, and `StoppedError` where hardware is latched. In every case the devices have been made safe.
     """
     supervision, hooks, latch = supervision or {}, Hooks(instruments), latch or Latch()
     life = _Life(

@@ -259,6 +259,8 @@ class Runtime:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
+        if "had_learned" in self._heard:
+            self._hooks.note("had_learned", *self.work.progress)
         if self._in_one_piece:
             decision = self._agent.choose()
         else:

@@ -40,7 +40,7 @@ class Update:
 
     def __init__(self, learner: Any, transition: Transition, cost: int, sliced: bool) -> None:
         self.transition, self.cost, self.delta = transition, cost, 0.0
-        self.spent = 0
+        self.spent = self.pieces = 0
         self.suspended = False
         self.apart = False
         """Whether the piece that follows leaves all action values alone."""
@@ -64,6 +64,7 @@ class Update:
             return True
         if self._pieces is None:
             self._pieces = self._learner.updating(self.transition)
+        self.pieces += 1
         try:
             self.apart = bool(next(self._pieces))
         except StopIteration as done:
@@ -83,6 +84,8 @@ class Backlog:
         self.rules, self.desk = rules, desk
         self.current: Update | None = None
         self.failed = False
+        self.learned = 0
+        """How many transitions were learned, but for those that are learned at once."""
         self.update = agent.learner.update
         self._agent, self._counters = agent, desk.recorder.counters
 
@@ -118,6 +121,7 @@ class Backlog:
         if self.failed:
             return
         self.current = None
+        self.learned += 1
         in_place = not update.suspended and update.transition.complete_at >= self.desk.observed_at()
         self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)

@@ -71,6 +71,12 @@ class Elsewhere:
         with self._processor.gate:
             return len(self._queue) + self._processor.taken - self._over
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one, as far as can be told."""
+        update = self._processor.update
+        return self.backlog.learned, update.pieces if update else 0
+
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
         with self._processor.gate:
@@ -126,11 +132,13 @@ class Elsewhere:
 
     def save(self) -> Saved:
         """Return what is being learned; the queue is the agent's."""
-        return {"doing": self._processor.save(), "failed": self.backlog.failed, "called": self.called}
+        backlog, doing = self.backlog, self._processor.save()
+        return {"doing": doing, "failed": backlog.failed, "learned": backlog.learned, "called": self.called}
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned."""
-        self.backlog.failed, self.called = saved["failed"], saved["called"]
+        self.backlog.failed, self.backlog.learned = saved["failed"], saved["learned"]
+        self.called = saved["called"]
         self._processor.restore(saved["doing"])
 
     async def _learn_until(self, deadline: int | None) -> None:

@@ -53,6 +53,12 @@ class Inline:
         """How many transitions wait or are being learned."""
         return len(self.backlog)
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one."""
+        current = self.backlog.current
+        return self._in_place + self.backlog.learned, current.pieces if current else 0
+
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
         current = self.backlog.current
@@ -109,19 +115,21 @@ class Inline:
 
     def save(self) -> Saved:
         """Return the update whose cost has partly passed, if any, and what was counted."""
-        current = self.backlog.current
+        backlog = self.backlog
         return {
-            "current": None if current is None else current.save(),
-            "failed": self.backlog.failed,
+            "current": None if backlog.current is None else backlog.current.save(),
+            "failed": backlog.failed,
             "called": self.called,
             "in_place": self._in_place,
+            "learned": backlog.learned,
         }
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned."""
         current, backlog = saved["current"], self.backlog
         backlog.current = None if current is None else backlog.again(current, sliced=bool(backlog.rules.slice))
-        backlog.failed, self.called, self._in_place = saved["failed"], saved["called"], saved["in_place"]
+        backlog.failed, backlog.learned = saved["failed"], saved["learned"]
+        self.called, self._in_place = saved["called"], saved["in_place"]
 
     def _learn_at_once(self) -> None:
         """Learn all that waits, each in one piece and at no cost but its own: what is done in every cycle."""

@@ -31,6 +31,10 @@ class Work(Protocol):
     def length(self) -> int:
         """How many transitions wait or are being learned."""
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one."""
+
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
 

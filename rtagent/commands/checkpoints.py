@@ -52,5 +52,5 @@ def _check_fit(path: Path, checkpoint: Checkpoint, scenario: Scenario) -> None:
     if found:
         more = f", and {len(found) - 3} more settings differ" if len(found) > 3 else ""
         raise CheckpointError(
-            f"{path} is of another scenario: {'; '.join(found[:3])}{more}. Run the one that it is of, or another file."
+            f"{path} is of another scenario: {'; '.join(found[:3])}{more}. Go on with the one that it is of."
         )
