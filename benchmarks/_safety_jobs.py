@@ -73,12 +73,19 @@ type = "greedy"
 """
 
 
+MOVES = 0.1
+"""rad/s, above which a joint moves."""
+
 STARTS = 5
 """A run may find the emulated bus slow to answer where others keep the machine busy: it is begun so often."""
 
 
 class TookTooLongError(Exception):
     """Something that was to happen did not."""
+
+
+class StoppedBeforeError(Exception):
+    """The joint was at rest already, or never moved: a run stalls where others keep the machine busy."""
 
 
 @dataclass
@@ -89,6 +96,11 @@ class Bench:
     log: Path
     scenario: Path
     read: int = 0
+
+    @property
+    def said(self) -> Path:
+        """What the last run, and its watchdog, have said."""
+        return self.scenario.with_suffix(".txt")
 
     def events(self) -> list[dict[str, Any]]:
         """Return what has happened since it was last asked."""
@@ -116,17 +128,18 @@ class Bench:
         command = [sys.executable, "-m", "rtagent", "run", str(self.scenario), "--quiet"]
         for _ in range(STARTS):
             self.events()  # those of the run before
-            run = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+            with self.said.open("wb") as said:
+                run = subprocess.Popen(command, stderr=said, stdin=subprocess.DEVNULL)
             if self._moves(run):
                 return run
             run.kill()
             run.wait()
-        raise TookTooLongError
+        raise StoppedBeforeError
 
     def _moves(self, run: subprocess.Popen[bytes]) -> bool:
         """Wait until the joint moves; say whether it does before the run is over."""
         try:
-            self.first(lambda event: abs(event["velocity"]) > 0.1, unless=lambda: run.poll() is not None)
+            self.first(lambda event: abs(event["velocity"]) > MOVES, unless=lambda: run.poll() is not None)
         except TookTooLongError:
             return False
         return True
@@ -134,12 +147,12 @@ class Bench:
 
 @contextmanager
 def bench() -> Iterator[Bench]:
-    """Emulate an arm with the timing of a true bus, in a folder that takes what stays latched."""
+    """Emulate an arm, in a folder that takes what stays latched."""
     homes = ("XDG_STATE_HOME", "XDG_RUNTIME_DIR")
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, dict.fromkeys(homes, folder)):
         made = Bench(Path(folder) / "bento", Path(folder) / "log", Path(folder) / "bento.toml")
         command = [sys.executable, "-m", "rtagent", "emulate", "bento", "--link", str(made.link)]
-        command += ["--log", str(made.log), "--timing", "true"]
+        command += ["--log", str(made.log)]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
             try:
                 assert emulator.stdout is not None
@@ -150,21 +163,31 @@ def bench() -> Iterator[Bench]:
 
 
 def safe_after(made: Bench, number: signal.Signals, trial: int) -> tuple[float, int]:
-    """Send a signal to a run; return after how long (ms) the torque was off, and how many goals were sent later."""
+    """Send a signal to a run; return after how long (ms) the torque was off, and how many goals were sent later.
+
+    Raises `StoppedBeforeError` where the joint was at rest by then.
+    """
     run = made.start("-" if trial % 2 else "")
     try:
         time.sleep(random.Random(trial).uniform(0.05, 0.3))  # noqa: S311  # nothing secret is drawn
-        made.events()
+        if run.poll() is not None or any(map(is_off, made.events())):
+            raise StoppedBeforeError
         sent = time.monotonic_ns()
         run.send_signal(number)
-        off = made.first(lambda event: event["event"] == "torque_enable" and event["value"] == 0)
-        assert abs(off["velocity"]) > 0.1, "it moved until then"
+        off = made.first(is_off)
+        if off["time"] < sent or abs(off["velocity"]) < MOVES:
+            raise StoppedBeforeError
         goals = _goals_after_going_on(made, run) if number == signal.SIGSTOP else 0
         return (off["time"] - sent) / 1e6, goals
     finally:
         run.kill()
         run.wait()
         _forget_latch(made)
+
+
+def is_off(event: dict[str, Any]) -> bool:
+    """Say whether a servo's torque went off."""
+    return event["event"] == "torque_enable" and not event["value"]
 
 
 def _goals_after_going_on(made: Bench, run: subprocess.Popen[bytes]) -> int:
@@ -187,22 +210,30 @@ def safety_rows(times: int = TIMES) -> Iterator[Row]:
     """Yield, for both signals, how often the arm was made safe, and the median and longest time until then."""
     with bench() as made:
         for number, reach in ((signal.SIGKILL, 100.0), (signal.SIGSTOP, TIMEOUT + 50.0)):
-            found = list(_attempts(made, number, times))
+            found, stalled = attempts(made, number, times)
             took = sorted(milliseconds for milliseconds, _ in found)
             name = f"{number.name} of the runtime while a joint moves"
             yield Row(f"{name}: made safe, of {times}", len(found), "×", float(times), "higher")
             yield Row(f"{name}: torque off, median", took[len(took) // 2] if took else float("nan"), "ms")
             yield Row(f"{name}: torque off, longest", took[-1] if took else float("nan"), "ms", reach)
+            yield Row("runs beside these that had stalled before, and were stopped", stalled, "×")
             if number == signal.SIGSTOP:
                 yield Row("goals sent after it went on", sum(goals for _, goals in found), "", 0.0)
 
 
-def _attempts(made: Bench, number: signal.Signals, times: int) -> Iterator[tuple[float, int]]:
-    for trial in range(times):
+def attempts(made: Bench, number: signal.Signals, times: int) -> tuple[list[tuple[float, int]], int]:
+    """Return what `times` runs came to, without those that were not made safe, and how many others had stalled."""
+    found: list[tuple[float, int]] = []
+    failed = stalled = 0
+    while len(found) + failed < times and stalled < times:
         try:
-            yield safe_after(made, number, trial)
+            found.append(safe_after(made, number, len(found) + failed + stalled))
+        except StoppedBeforeError:
+            stalled += 1
         except TookTooLongError:
-            print(f"{number.name} {trial}: it was not made safe", file=sys.stderr)
+            failed += 1
+            sys.stderr.write(f"{number.name}: it was not made safe. {made.said.read_text()}")
+    return found, stalled
 
 
 if __name__ == "__main__":

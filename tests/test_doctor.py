@@ -61,6 +61,7 @@ def file_with(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
 # The command, as a user runs it
 
 
+@pytest.mark.slow
 def test_the_doctor_measures_this_machine_and_writes_json() -> None:
     command = [sys.executable, "-m", "rtagent", "doctor", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -50,6 +50,7 @@ def numbers(printed: str) -> list[float]:
     return [errors["mae"] for errors in trial["predictions"].values()]
 
 
+@pytest.mark.slow
 def test_what_was_compiled_is_kept(tmp_path: Path) -> None:
     code = "from rtagent import kernels; kernels.load('linear')"
     settings = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DEBUG_CACHE": "1"}

@@ -116,6 +116,7 @@ def test_the_fast_form_predicts_as_the_plain_one_does(world: World, precision: P
             assert_alike(fast.weights, plain.weights, tolerance)
 
 
+@pytest.mark.slow
 def test_predictions_stay_the_same_over_100_000_steps() -> None:
     world = World(size=30, active=5, ending=0.001, lambda_=0.95)
     plain, exact = both(world, demons=3)

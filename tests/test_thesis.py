@@ -74,6 +74,7 @@ def test_a_virtual_run_is_the_same_to_the_byte() -> None:
     assert first != json.dumps(run_stopping(trials=2, seed=8).as_dict())
 
 
+@pytest.mark.slow
 def test_the_real_clock_gives_the_same_medians() -> None:
     """Half a delay and a whole one more, of 10 ms here; compared with the time that learning really took."""
     medians = {}

@@ -150,6 +150,7 @@ def disagreement(make: Make, length: int, *, real: bool = False, seed: int = 0, 
     return worst / largest
 
 
+@pytest.mark.slow
 def test_both_forms_predict_the_same_over_100_000_steps() -> None:
     assert disagreement(true_online_td, 100_000) < 1e-9
 

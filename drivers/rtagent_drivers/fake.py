@@ -11,11 +11,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 from numpy.random import Generator
 
 from rtagent.clock import current
+from rtagent.device import Noting
 from rtagent.errors import DeviceError, DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus, Values
 from rtagent.saving import Saveable, Saved
@@ -52,6 +53,14 @@ class World(Protocol):
 
     def make_safe(self, now: int) -> None:
         """Stop all motion."""
+
+
+@runtime_checkable
+class Preparing(Protocol):
+    """A world whose start takes long to make, as a simulator's reset may: that is no part of an episode."""
+
+    def prepare(self, rng: Generator) -> None:
+        """Make the start of the episode that `begin` is called for next, what is random drawn from `rng`."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +144,8 @@ class FakeDevice:
         self._clock = current()
         self._now = self._clock.now
         if self._first_opened is None:
-            self._first_opened = self._began = self._now()
-            self._begin_world(self._first_opened, None)
+            self._begin_world(stream(0, "fake"))
+            self._first_opened = self._began
         self._opened_at = self._now() - self._first_opened if self._goes_on_from is None else self._goes_on_from
         self._goes_on_from = None
         self._check_plugged(self._opened_at)
@@ -145,7 +154,7 @@ class FakeDevice:
     async def begin_episode(self, rng: Generator) -> None:
         """Put the world at its start, now."""
         await self._meet_troubles()
-        self._begin_world(self._now(), rng)
+        self._begin_world(rng)
 
     async def read(self, newer_than: int) -> Sample:
         """Return the newest sample there is, or wait for one above `newer_than`."""
@@ -195,6 +204,11 @@ class FakeDevice:
         return None if change is None else change + self._sampling.delay
 
     @property
+    def notes(self) -> Sequence[str]:
+        """What the world has to say."""
+        return self.world.notes if isinstance(self.world, Noting) else ()
+
+    @property
     def counters(self) -> Mapping[str, int]:
         """What the stream of samples lost, doubled and overtook."""
         present = self._arrivals.counters(self._now()) if self._arrivals else {}
@@ -222,17 +236,20 @@ class FakeDevice:
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned, before it is opened: it then goes on from there."""
-        self._begin_world(saved["began"], restored_stream(saved["rng"]))
+        self._begin_world(restored_stream(saved["rng"]), saved["began"])
         if isinstance(self.world, Saveable):
             self.world.restore(saved["world"])
         self._first_opened, self._goes_on_from = saved["first_opened"], saved["opened_at"]
         self._reads, self._due = saved["reads"], saved["due"]
         self._past_counters = Counter(saved["past_counters"])
 
-    def _begin_world(self, now: int, rng: Generator | None) -> None:
+    def _begin_world(self, rng: Generator, began: int | None = None) -> None:
+        """Begin it, when it is prepared, or as it `began` (ns) before."""
         self._past_counters = Counter(self.counters) if self._arrivals else self._past_counters
-        rng = rng if rng is not None else stream(0, "fake")
         self._drawn_from = save_stream(rng)
+        if isinstance(self.world, Preparing):
+            self.world.prepare(rng)
+        now = self._now() if began is None else began
         self.world.begin(now, rng)
         self._began, self._reads = now, 0
         if self._sampling.rate:

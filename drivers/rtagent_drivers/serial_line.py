@@ -137,9 +137,21 @@ class _Relay(asyncio.Protocol):
 
 
 class _Port(serial.Serial):  # type: ignore[misc]  # pyserial has no types
-    """A port that is closed without waiting until everything has been sent: what is stuck would block the loop."""
+    """A port for a loop that knows when there is something to read, and that nothing may block."""
 
     when_closed: Callable[[], None] | None = None
+
+    def read(self, size: int = 1) -> bytes:
+        """Return what is there, without asking the system first whether there is."""
+        try:
+            data = os.read(self.fd, size)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise serial.SerialException(error.errno, str(error)) from error
+        if not data:
+            raise serial.SerialException("it was hung up")
+        return data
 
     def flush(self) -> None:
         """Drop what was not sent, in place of waiting for it."""

@@ -90,6 +90,12 @@ def _warnings(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         yield "note: nothing bounds an episode of this synchronous world; give run.episode_steps a value."
     if real and assembly.never_sleeps and assembly.realtime.priority:
         yield "note: this loop never sleeps, so it gets no realtime.priority; give schedule.period a value."
+    if (pause := assembly.pause) > schedule.observe_timeout:
+        yield (
+            f"note: nothing new comes for {describe(pause)} at a time, and observe waits for "
+            f"{describe(schedule.observe_timeout)} at most, then takes what it has once more; "
+            "give schedule.observe_timeout more."
+        )
     costs = [component.value for component in assembly.costs]
     if costs and real:
         yield f"note: costs ({', '.join(costs)}) are charged under the virtual clock only."

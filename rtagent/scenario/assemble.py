@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import Any, TypeVar
 
 from numpy.random import Generator
@@ -37,6 +38,7 @@ from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
 from rtagent.task import Task
+from rtagent.units import second
 from rtagent.urgency import check_urgency
 
 T = TypeVar("T")
@@ -69,6 +71,16 @@ class Assembly:
     def guarded(self) -> bool:
         """Whether it moves something real, or what is emulated on the wire."""
         return any(isinstance(device, Guarded) for device in self.devices.values())
+
+    @property
+    def pause(self) -> float:
+        """How long (ns) nothing new comes where observe waits for it, from the device that is sampled most often.
+
+        It is 0 where observe does not wait, or a device has something new at any time.
+        """
+        rates = [device.spec.rate for device in self.devices.values()]
+        waits = rates and self.schedule.observe == "fresh" and all(0 < rate < inf for rate in rates)
+        return second / max(rates) if waits else 0.0
 
     async def run(
         self,

@@ -100,7 +100,7 @@ def main() -> None:
         return
     order = json.loads(first)
     sys.path += [place for place in order["path"] if place not in sys.path]
-    _ask_for_time(order)
+    _ask_for_time(order["priority"])
     guard = Guard(order)
     try:
         _watch(guard, inbox, order["timeout"] / 1e9, [*lines])
@@ -137,10 +137,9 @@ def _take(guard: Guard, resorts: dict[str, dict[str, Any]]) -> None:
         tell({"ready": True})
 
 
-def _ask_for_time(order: dict[str, Any]) -> None:
-    """Run on any processor, and before a loop that has a priority: where that is not allowed, as others do."""
+def _ask_for_time(priority: int) -> None:
+    """Run on any processor, and before a loop of this priority: where that is not allowed, as others do."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
     with contextlib.suppress(OSError, AttributeError):
-        if order["priority"]:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(order["priority"] + 1, 99)))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))

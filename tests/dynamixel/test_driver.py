@@ -120,14 +120,15 @@ async def test_a_position_is_sent_within_limits_and_returned_as_sent(mini_bento:
 
 async def test_a_velocity_goes_to_the_soft_limit_and_zero_stops_there(bento: EmulatedArm) -> None:
     arm = bento
-    async with opened(driver(arm, "velocity")) as device:
+    joints = arm.joints(mode="velocity", low=-1.5, high=0.7)
+    async with opened(driver(arm, joints=joints)) as device:
         await device.act({"shoulder_velocity": 2.0})
         await until(device, ("shoulder_position", 0.3))
         sent = await device.act({"shoulder_velocity": 0.001})
         assert sent == {"shoulder_velocity": 0.0}
         stopped = float((await until(device, ("shoulder_velocity", 0.0))).values["shoulder_position"])
         await device.act({"shoulder_velocity": 5.0})
-        await until(device, ("shoulder_position", 1.5), within=0.01)
+        await until(device, ("shoulder_position", 0.7), within=0.01)
         assert 0.2 < stopped < 0.6
 
 
@@ -314,7 +315,7 @@ async def test_what_is_not_safe_is_named(bento: EmulatedArm, monkeypatch: pytest
 
 async def test_another_model_or_none_is_told_by_name(bento: EmulatedArm) -> None:
     joints = {"elbow": Joint(id=2, model="MX-28"), "tail": Joint(id=9, model="MX-28")}
-    with pytest.raises(DeviceError, match=r"no answer from tail \(id 9\) at 1000000 baud"):
+    with pytest.raises(DeviceError, match=r"no answer from .*tail \(id 9\) at 1000000 baud"):
         await driver(bento, joints=joints).open()
     del joints["tail"]
     with pytest.raises(DeviceError, match=r"elbow \(id 2\) is MX-106, not MX-28: correct its model"):

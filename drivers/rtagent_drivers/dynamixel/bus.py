@@ -196,7 +196,7 @@ class Bus:
             return
         self._exchange = exchange
         writes, self._writes = self._writes, {}
-        data = b"".join(write.data for write in writes.values())
+        data = b"".join([write.data for write in writes.values()]) if writes else b""
         if exchange is not None:
             self._begin(exchange, now, len(data))
             data += exchange.question.data

@@ -22,7 +22,7 @@ from rtagent_drivers.dynamixel.codecs import codec
 from rtagent_drivers.dynamixel.faults import ALERT, VOLTAGE, is_grave, sentences
 from rtagent_drivers.dynamixel.limits import Reading
 from rtagent_drivers.dynamixel.orders import Order, reads_in_groups, switch, sync_writes
-from rtagent_drivers.dynamixel.packets import Status
+from rtagent_drivers.dynamixel.packets import Span, Status
 from rtagent_drivers.dynamixel.polling import Roster, Round
 from rtagent_drivers.dynamixel.safe_state import secure
 from rtagent_drivers.dynamixel.servo import Servo
@@ -38,6 +38,12 @@ LATELY = 100 * ms
 
 FIRST_READINGS = 1 * second
 """So long every joint has to be read for the first time."""
+
+SAY_AGAIN = 200 * ms
+"""So often the way to the start pose is said again."""
+
+TRIES = 4
+"""So often torque is switched on, and read back."""
 
 ARRIVED, AT_REST = 0.05, 0.1
 """A joint within so much (rad) of its start, and no faster than this (rad/s), has arrived."""
@@ -353,7 +359,7 @@ class Dynamixel:
             raise DisconnectedError("the arm is closed: open it first.")
         wrong = self._fault or self._lost or self._trouble
         if wrong is not None:
-            raise wrong
+            raise wrong.with_traceback(None)  # it is raised again and again
 
     # Acting
 
@@ -376,7 +382,7 @@ class Dynamixel:
             raise DisconnectedError("the arm is closed: open it first.")
         wrong = self._fault or self._lost
         if wrong is not None:
-            raise wrong
+            raise wrong.with_traceback(None)  # it is raised again and again
 
     def _servo(self, actuator: str) -> Servo:
         if actuator not in self._by_actuator:
@@ -395,9 +401,23 @@ class Dynamixel:
         staying = {servo.id: servo.stay(now) for servo in off}
         on = {servo.id: switch(servo.model, on=True) for servo in off}
         requests = [*sync_writes(self._bus.codec, staying), *sync_writes(self._bus.codec, on)]
-        await self._bus.send("switch on " + ",".join(map(str, staying)), *requests)
+        for _ in range(TRIES):
+            await self._bus.send("switch on " + ",".join(map(str, staying)), *requests)
+            for servo in off:
+                servo.on = True  # as far as is known: a stop that comes now has to hold it
+            off = [servo for servo in off if not await self._has_torque(servo)]
+            if not off:
+                return
         for servo in off:
-            servo.on = True
+            servo.on = False
+        limp = ", ".join(f"{servo.axis.name} (id {servo.id})" for servo in off)
+        raise DeviceError(f"torque did not go on: {limp}. Look with `rtagent devices` whether it has shut down.")
+
+    async def _has_torque(self, servo: Servo) -> bool:
+        order = switch(servo.model, on=True)
+        read = self._bus.codec.read(Span(servo.id, order.address, len(order.data)))
+        status = (await self._bus.transact(read, {servo.id: len(order.data)})).get(servo.id)
+        return status is not None and status.parameters == order.data
 
     async def _order(self, key: str, orders: Mapping[int, Order]) -> bool:
         return await self._bus.send(key, *sync_writes(self._bus.codec, orders))
@@ -430,11 +450,15 @@ class Dynamixel:
         speeds = {servo: min(START_SPEED, servo.axis.max_velocity) for servo in goals}
         farthest = max(abs(_position(servo) - goal) / speeds[servo] for servo, goal in goals.items())
         ends = self._now() + (within or round((2 * farthest + 2) * second))
-        await self._order("pose", {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()})
+        orders = {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()}
+        said = 0
         while away := [servo for servo, goal in goals.items() if not _arrived(servo, goal)]:
             if self._now() > ends:
                 names = ", ".join(servo.axis.name for servo in away)
                 raise DeviceError(f"{names} did not get to the start pose: see what is in its way, and its load.")
+            if self._now() - said > SAY_AGAIN:  # nobody confirms it, and a packet can be lost
+                said = self._now()
+                await self._order("pose", orders)
             await self._next_round()
             self._check()
 

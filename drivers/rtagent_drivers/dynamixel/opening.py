@@ -18,7 +18,9 @@ from rtagent_drivers.dynamixel.servo import Servo
 from rtagent_drivers.dynamixel.timing import transaction
 from rtagent_drivers.dynamixel.values import pack, to_raw, to_si, unpack
 
-TRIES = 3
+TRIES = 8
+"""A machine that is busy with starting up may let an answer wait for some time."""
+
 RATE_MARGIN = 1.1
 WATCHDOG_STEP, LONGEST_WATCHDOG = 20 * ms, 127 * 20 * ms
 
