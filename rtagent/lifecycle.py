@@ -166,6 +166,7 @@ class _Life:
             self._resume(keeper)
 
     async def live(self) -> Result:
+        self._hooks.call("run_began", self._report)
         work = asyncio.ensure_future(self._work())
         try:
             with _signals(self._latch), _heard(self._latch) as stopped:
@@ -202,6 +203,7 @@ class _Life:
             if self._resumed is not None and trial < self._resumed.trial:
                 continue
             runtime = self._running = self._runtime(agent, trial)
+            self._hooks.call("trial_began", trial, agent)
             for episode in range(await self._go_on(runtime, trial), self._plan.episodes):
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
