@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from rtagent.errors import CheckpointError
 from rtagent.saving import Saved
 
+PARTS = ("place", "now", "age", "recorder", "agents", "runtime", "world")
+
 
 class Resumed:
     """Where a run goes on: in which `trial`, how many `episodes` of it have begun, and whether the last is `open`.
@@ -19,6 +21,8 @@ class Resumed:
     def __init__(self, saved: Saved, virtual: bool) -> None:
         self.saved = saved
         with fitting():
+            for part in PARTS:
+                saved[part]
             place = saved["place"]
             self.trial, self.episodes, self.open = place["trial"], place["episodes"], place["open"]
             self.exact = virtual and saved["world"] is not None
