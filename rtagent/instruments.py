@@ -33,7 +33,7 @@ class Instrument:
     def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         """A cycle was over: all its calls at once, as names of hooks with their arguments, before they are made.
 
-        For an instrument that has no time for a call each. The list is used again: it is not to be kept.
+        For an instrument that has no time for a call each. The list may be kept, but not changed.
         """
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
@@ -92,12 +92,12 @@ class Hooks:
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
+        noted, self.noted = self.noted, []
         if self._calls["noted"]:
-            self.call("noted", self.noted)
-        for name, args in self.noted:
+            self.call("noted", noted)
+        for name, args in noted:
             if self._calls[name]:
                 self.call(name, *args)
-        self.noted.clear()
 
     def call(self, name: str, *args: Any) -> None:
         """Call the hook `name` of every instrument, now."""

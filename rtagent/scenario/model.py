@@ -170,7 +170,7 @@ class TelemetryTable(Table):
     endpoint: str = Field("tcp/127.0.0.1:7447", description="the router; one of this machine is started if need be")
     listen: tuple[str, ...] = Field((), description="where a router that is started listens too")
     control: bool = Field(False, description="whether those who watch may stop it, annotate it and press buttons")
-    buffer: int = Field(8 << 20, ge=1 << 16, description="so many bytes may wait to be sent")
+    buffer: int = Field(5000, ge=1, description="so many cycles may wait to be sent")
     user: str = Field("", description="as whom to connect")
     password_file: str = Field("", description="a file with the user's password")
     ca: str = Field("", description="the certificate of the authority that signed the router's (PEM)")
