@@ -60,6 +60,9 @@ class Instrument:
     def reacted(self, reaction: Reaction) -> None:
         """A stimulus got its first reaction."""
 
+    def trial_ended(self, trial: int, agent: Agent) -> None:
+        """A trial ended, and all was learned that will be."""
+
     def fault(self, source: str, message: str, time: int) -> None:
         """Something failed."""
 
@@ -67,7 +70,7 @@ class Instrument:
         """An episode ended."""
 
 
-NOTED = ("observed", "chose", "acted", "learned", "component", "reacted")
+NOTED = ("observed", "had_learned", "chose", "acted", "learned", "component", "reacted")
 """The hooks whose calls are kept until the act is over."""
 HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
 

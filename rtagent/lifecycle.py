@@ -210,6 +210,7 @@ class _Life:
                 await self._episode_ended(trial, episode)
             if trial < self._plan.trials - 1:
                 await runtime.drain(None)
+                self._hooks.call("trial_ended", trial, agent)
 
     def _make_agents(self) -> Iterator[Agent]:
         """Make an agent for each trial, when it is asked for."""
@@ -392,6 +393,7 @@ class _Life:
         may_learn = end is None or end.source != "run"
         bounded = self._clock.now() + (self._plan.drain if may_learn else 0)
         await self._running.drain(None if end is None else bounded)
+        self._hooks.call("trial_ended", len(self._agents) - 1, self._agents[-1])
 
     def _learning_failed(self, error: BaseException) -> None:
         """Note that learning is over; the run goes on with the weights it has."""

@@ -1,13 +1,15 @@
 """Checkpoint files: what was saved, as JSON and plain arrays in a zip archive that is not compressed.
 
 `about.json` names the format and its version, tells of the run, and holds the SHA-256 digest of the rest;
-`state.json` is what was saved, in which an array is a place in `arrays.bin`. Nothing in it is ever executed.
+`state.json` is what was saved, in which arrays are told by type and shape; `arrays.bin` has
+their bytes, one after the other. Nothing in it is ever executed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import zipfile
 import zlib
@@ -26,7 +28,7 @@ FORMAT, VERSION = "rtagent checkpoint", 1
 ABOUT, STATE, ARRAYS = "about.json", "state.json", "arrays.bin"
 
 ARRAY = "__array__"
-"""The only key of what stands for an array: its type, shape and place (bytes); a scalar has None for its shape."""
+"""The only key of what stands for an array, in the order of their bytes: type and shape (None: a scalar)."""
 
 KINDS = "biuf"
 """Arrays hold truth values, integers or floats."""
@@ -67,7 +69,7 @@ def read(path: Path) -> Checkpoint:
             state, arrays = _entry(archive, STATE), _entry(archive, ARRAYS)
         if _digest(about, [state, arrays]) != about["digest"]:
             raise CheckpointError(f"{path} is damaged: its digest is not that of its contents. Take an older one.")
-        return Checkpoint(about, _unpacked(json.loads(state), arrays))
+        return Checkpoint(about, _unpacked(json.loads(state), _Cursor(arrays)))
     except FileNotFoundError:
         raise CheckpointError(f"there is no checkpoint {path}: run without --resume to begin with one.") from None
     except OSError as error:
@@ -113,7 +115,7 @@ def _entry(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _write(file: BinaryIO, about: Mapping[str, Any], saved: Saved) -> None:
     arrays: list[NDArray[Any]] = []
-    state = json.dumps(_packed(saved, arrays, [0])).encode()
+    state = json.dumps(packed(saved, arrays)).encode()
     head = {"format": FORMAT, "version": VERSION, **about}
     contents = [_bytes_of(array) for array in arrays]
     head["digest"] = _digest(head, [state, *contents])
@@ -159,14 +161,14 @@ def _sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def _packed(value: Any, arrays: list[NDArray[Any]], end: list[int]) -> Any:
-    """Return what JSON can hold of a value, its arrays put into a list; `end` is where the next begins."""
+def packed(value: Any, arrays: list[NDArray[Any]]) -> Any:
+    """Return what JSON can hold of a value, its arrays put into a list; raise `CheckpointError` for others."""
     if isinstance(value, Mapping):
-        return {_name(name): _packed(each, arrays, end) for name, each in value.items()}
+        return {_name(name): packed(each, arrays) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_packed(each, arrays, end) for each in value]
+        return [packed(each, arrays) for each in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _placed(value, arrays, end)
+        return _placed(value, arrays)
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise CheckpointError(
@@ -180,32 +182,37 @@ def _name(name: object) -> str:
     return name
 
 
-def _placed(value: Any, arrays: list[NDArray[Any]], end: list[int]) -> dict[str, Any]:
+def _placed(value: Any, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     array = np.asarray(value)
     if array.dtype.kind not in KINDS:
         raise CheckpointError(f"a checkpoint holds arrays of numbers, and no {array.dtype}: save it as such.")
-    place = {ARRAY: [array.dtype.str, list(value.shape) if isinstance(value, np.ndarray) else None, end[0]]}
     arrays.append(array)
-    end[0] += array.nbytes
-    return place
+    return {ARRAY: [array.dtype.str, list(value.shape) if isinstance(value, np.ndarray) else None]}
 
 
-def _unpacked(value: Any, arrays: bytes) -> Any:
+class _Cursor:
+    """Takes one array after the other from their bytes."""
+
+    def __init__(self, arrays: bytes) -> None:
+        self._arrays, self._place = arrays, 0
+
+    def take(self, kind: str, shape: list[int] | None) -> Any:
+        """Return the next array, or scalar; raise `CheckpointError` where there can be none such."""
+        dtype = np.dtype(kind)
+        if dtype.kind not in KINDS or min((0, *(shape or ()))) < 0:
+            raise CheckpointError(f"there is no array of {kind} with shape {shape}")
+        count = math.prod(shape or ())
+        array = np.frombuffer(self._arrays, dtype, count, self._place) if count else np.empty(0, dtype)
+        self._place += array.nbytes
+        return array[0] if shape is None else array.reshape(shape).copy()
+
+
+def _unpacked(value: Any, arrays: _Cursor) -> Any:
     if isinstance(value, list):
         return [_unpacked(each, arrays) for each in value]
     if not isinstance(value, dict):
         return value
     if ARRAY in value:
-        kind, shape, first = value[ARRAY]
-        return _taken(kind, shape, first, arrays)
+        kind, shape = value[ARRAY]
+        return arrays.take(kind, shape)
     return {name: _unpacked(each, arrays) for name, each in value.items()}
-
-
-def _taken(kind: str, shape: list[int] | None, first: int, arrays: bytes) -> Any:
-    """Return the array, or the scalar, that is in a place; raise `CheckpointError` where there is none such."""
-    dtype = np.dtype(kind)
-    if dtype.kind not in KINDS or min(first, *(shape or ()), 0) < 0:
-        raise CheckpointError(f"there is no array of {kind} at {first}")
-    count = 1 if shape is None else int(np.prod(shape, dtype=np.int64))
-    array = np.frombuffer(arrays, dtype, count, first) if count else np.empty(0, dtype)
-    return array[0] if shape is None else array.reshape(shape).copy()

@@ -46,7 +46,13 @@ class Ended(NamedTuple):
     """The episode ended; one that was broken off has none of these."""
 
 
-Event = Began | Observed | Chose | Acted | Learned | Ended
+class Knew(NamedTuple):
+    """The trial ended, its agent having learned what has this digest."""
+
+    digest: str
+
+
+Event = Began | Observed | Chose | Acted | Learned | Ended | Knew
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rtagent.agent import Agent
+from rtagent.checkpoint.digest import digest_of
 from rtagent.experience import Command, Observation, Stimulus, Transition
 from rtagent.recorder import EpisodeRecord
-from rtagent.replay.events import Acted, Began, Chose, Ended, Event, Learned, Observed
+from rtagent.replay.events import Acted, Began, Chose, Ended, Event, Knew, Learned, Observed
 
 
 class Journal:
@@ -39,6 +41,10 @@ class Journal:
     def learned(self, transition: Transition, delta: float, time: int) -> None:
         """Keep it."""
         self.events.append(Learned(delta))
+
+    def trial_ended(self, trial: int, agent: Agent) -> None:
+        """Keep the digest of what was learned."""
+        self.events.append(Knew(digest_of(agent)))
 
     def episode_ended(self, record: EpisodeRecord) -> None:
         """Keep it."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from numpy.random import Generator
 
 from rtagent.agent import Agent
+from rtagent.checkpoint.digest import digest_of
 from rtagent.errors import ReplayError, RtagentError
 from rtagent.experience import Observation
 from rtagent.learn import When, Where
-from rtagent.replay.events import Acted, Began, Chose, Event, Learned, Observed
+from rtagent.replay.events import Acted, Began, Chose, Event, Knew, Learned, Observed
 from rtagent.replay.learning import Learning, same
 from rtagent.runtime import Limits
 from rtagent.schedule import Schedule
@@ -24,7 +25,8 @@ class Replayed:
     """What came of a replay: the agent of each trial, and how choices and errors compare with the recorded ones.
 
     `differs` is where (trial, episode, time in ns) the first other choice was made; `returns` are those of the
-    episodes that ended. `deltas` counts the errors that were compared, `other_deltas` those that differ.
+    episodes that ended. `deltas` counts the errors that were compared, `other_deltas` those that
+    differ; `weights` and `other_weights` are trials.
     """
 
     agents: list[Agent] = field(default_factory=list)
@@ -35,13 +37,15 @@ class Replayed:
     transitions: int = 0
     deltas: int = 0
     other_deltas: int = 0
+    weights: int = 0
+    other_weights: int = 0
     returns: list[float] = field(default_factory=list)
     failure: str = ""
 
     @property
     def same(self) -> bool:
-        """Whether every choice, and every error of learning, was the recorded one."""
-        return not (self.other_choices or self.other_deltas)
+        """Whether choices, errors of learning and final weights were the recorded ones."""
+        return not (self.other_choices or self.other_deltas or self.other_weights)
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ class Replayer:
         self._outcome = Replayed()
         self._learning: Learning | None = None
         self._recorded: list[float] = []
+        self._digest = ""
         self._observation: Observation | None = None
 
     def replay(self, events: Iterable[Event]) -> Replayed:
@@ -94,6 +99,8 @@ class Replayer:
         return self._outcome
 
     def _take(self, event: Event) -> None:
+        if self._learning is None and not isinstance(event, Began):
+            raise ReplayError("the recording begins in the middle of an episode: only whole runs are replayed.")
         match event:
             case Began():
                 self._begin(event)
@@ -105,25 +112,31 @@ class Replayer:
                 self._act()
             case Learned():
                 self._recorded.append(event.delta)
+            case Knew():
+                self._digest = event.digest
             case _:
                 self._end_episode()
 
     def _begin(self, event: Began) -> None:
         if event.trial >= len(self._outcome.agents):
             self._end_trial()
-            self._begin_trial(event.trial)
+            self._begin_trial(event)
         self._episode = event
         self._steps, self._return = 0, 0.0
         self._task.begin()
         self._agent.begin()
 
-    def _begin_trial(self, trial: int) -> None:
-        if trial != len(self._outcome.agents):
-            raise ReplayError(f"the recording begins with trial {trial + 1}: one of the whole run is needed.")
+    def _begin_trial(self, event: Began) -> None:
+        trial = event.trial
+        if trial != len(self._outcome.agents) or event.episode:
+            raise ReplayError(
+                f"the recording begins with episode {event.episode + 1} of trial {trial + 1}, as that of a run "
+                "that went on from a checkpoint: only whole runs are replayed."
+            )
         self._agent = self._make_agent(stream(self._seed, "policy", trial))
         self._agent.keeps_transitions = self._schedule.learns
         self._outcome.agents.append(self._agent)
-        self._learning, self._recorded = Learning(self._agent), []
+        self._learning, self._recorded, self._digest = Learning(self._agent), [], ""
 
     def _observe(self, observation: Observation) -> None:
         outcome, time = self._task.interpret(observation), observation.time
@@ -184,11 +197,20 @@ class Replayer:
         learning, outcome = self._learning, self._outcome
         if learning is None:
             return
-        learning.learn_all()
+        if self._how.as_recorded:
+            learning.learn_until(len(self._recorded), 0)  # what a run that was stopped has left is not learned
+            self._compare(learning)
+        else:
+            learning.learn_all()
         outcome.failure = outcome.failure or learning.failure
         outcome.transitions += len(learning.deltas)
-        if self._how.as_recorded:
-            pairs = zip(learning.deltas, self._recorded, strict=False)
-            missing = max(0, len(self._recorded) - len(learning.deltas))
-            outcome.deltas += len(self._recorded)
-            outcome.other_deltas += sum(not same(*pair) for pair in pairs) + missing
+
+    def _compare(self, learning: Learning) -> None:
+        outcome, digest = self._outcome, self._digest
+        pairs = zip(learning.deltas, self._recorded, strict=False)
+        missing = max(0, len(self._recorded) - len(learning.deltas))
+        outcome.deltas += len(self._recorded)
+        outcome.other_deltas += sum(not same(*pair) for pair in pairs) + missing
+        if digest:
+            outcome.weights += 1
+            outcome.other_weights += digest != digest_of(self._agent)

@@ -95,6 +95,15 @@ class Observation(Record):
     stale: list[str]
 
 
+class Choice(Record):
+    """An action was chosen: `learned` transitions of the trial had been learned, and `pieces` of the next one."""
+
+    action: int
+    probability: float
+    learned: int
+    pieces: int
+
+
 class Action(Record):
     """An action that was taken: with which probability it was chosen, when, and what the devices really took.
 
@@ -167,13 +176,16 @@ class Stimulus(Record):
 
 
 class Event(Record):
-    """Something to remember: an annotation of a person's, an episode that began, a command that was given.
+    """Something to remember: an annotation of a person's, an episode that began, the end of a trial, a command.
 
-    `name` is annotation, episode, stop, press or recording.
+    `name` is annotation, episode (with its `trial` and `episode`), learned (the digest of what an agent has
+    learned when its `trial` ends), stop, press or recording.
     """
 
     name: str
     text: str
+    trial: int | None = None
+    episode: int | None = None
 
 
 class Fault(Record):
@@ -215,6 +227,7 @@ STREAMS: Mapping[str, type[Record]] = {
     "run": Run,
     "sample": Sample,
     "observation": Observation,
+    "choice": Choice,
     "action": Action,
     "transition": Transition,
     "prediction": Prediction,

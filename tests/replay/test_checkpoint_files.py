@@ -70,8 +70,7 @@ def test_a_file_with_a_byte_that_was_changed_is_refused_or_means_the_same(
     path.write_bytes(data)
     try:
         checkpoint = read(path)
-    except CheckpointError as error:
-        assert str(error).endswith(".")
+    except CheckpointError:
         return
     assert plain(checkpoint.saved) == plain(SAMPLE)
     assert checkpoint.about["scenario"] == {"name": "x"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,10 @@ from rtagent_drivers.stopping import stopping_joint
 PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
 SAMPLED = 'devices.joint.sampling={rate="100Hz",delay="3ms",jitter="5ms"}'
 FAULTS = 'devices.joint.faults={drop=0.1,duplicate=0.1,late=0.1,lateness="30ms"}'
-COSTS = 'costs={act="1ms",observe={distribution="uniform",low="1us",high="900us"},learn={distribution="exponential",high="3ms"}}'
+COSTS = (
+    'costs={act="1ms",observe={distribution="uniform",low="1us",high="900us"},'
+    'learn={distribution="exponential",high="3ms"}}'
+)
 EXPLORES = ["policy.type=epsilon_greedy", "policy.epsilon=0.3"]
 EVENT = 'devices.joint.events={far={signal="position",above=1.0}}'
 SEEDS = st.integers(0, 99)
