@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtagent.experience import Command, Observation, Stimulus, Transition
 from rtagent.reaction import Reaction
 from rtagent.recorder import EpisodeRecord
 from rtagent.schedule import Component
-
-if TYPE_CHECKING:
-    from rtagent.agent import Agent
 
 log = logging.getLogger("rtagent")
 
@@ -27,8 +24,8 @@ class Instrument:
     def run_began(self, report: Callable[[str, str], None]) -> None:
         """A run began; `report(source, message)` tells it of a fault that does not end it, on its event loop."""
 
-    def trial_began(self, trial: int, agent: Agent) -> None:
-        """A trial began, with this agent."""
+    def trial_began(self, trial: int, agent: Any) -> None:
+        """A trial began, with this `rtagent.Agent`."""
 
     def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         """A cycle was over: all its calls at once, as names of hooks with their arguments, before they are made.
@@ -86,6 +83,7 @@ class Hooks:
         }
         heard = {name for name, calls in self._calls.items() if calls}
         self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
+        self._heard_singly = not heard.isdisjoint(NOTED)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
 
@@ -98,8 +96,8 @@ class Hooks:
         noted, self.noted = self.noted, []
         if self._calls["noted"]:
             self.call("noted", noted)
-        for name, args in noted:
-            if self._calls[name]:
+        if self._heard_singly:
+            for name, args in noted:
                 self.call(name, *args)
 
     def call(self, name: str, *args: Any) -> None:

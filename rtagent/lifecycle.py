@@ -152,6 +152,8 @@ class _Life:
         self._agents: list[Agent] = []
         self._running: Runtime | None = None
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
+        if keeper is not None:
+            self._first_agent.save()  # tells at once what cannot be saved, and touches all memory
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
         specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
@@ -218,6 +220,8 @@ class _Life:
         for trial in range(1, self._plan.trials):
             agent = self._make_agent(stream(self._plan.seed, "policy", trial))
             self._restore_agent(agent, trial)
+            if self._keeper is not None:
+                agent.save()  # so that its memory has been touched
             yield agent
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:

@@ -183,7 +183,9 @@ class TelemetryTable(Table):
     def _endpoints(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
         for endpoint in (given,) if isinstance(given, str) else given:
             if not re.fullmatch(r"(tcp|tls|quic)/[^/]+:\d+([?#].*)?", endpoint):
-                raise ValueError(f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447 or tls/0.0.0.0:7448")
+                raise ValueError(
+                    f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447 or tls/0.0.0.0:7448"
+                )
         return given
 
     @model_validator(mode="after")
@@ -192,10 +194,12 @@ class TelemetryTable(Table):
         listening = [each for each in open_to_others if each in self.listen]
         if listening and not (self.users and self.certificate and self.key):
             raise ValueError(
-                f"{listening[0]} is open to other machines: give users, certificate and key, and tls/ as its protocol"
+                f"{listening[0]} is open to other machines: give users, certificate and key, and write tls/"
             )
         if plain := [each for each in open_to_others if each.startswith("tcp/")]:
-            raise ValueError(f"{plain[0]} would send everything in the clear to other machines: write tls/ or quic/")
+            raise ValueError(
+                f"{plain[0]} would send everything in the clear to other machines: write tls/ or quic/"
+            )
         return self
 
 

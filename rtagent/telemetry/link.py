@@ -1,4 +1,4 @@
-"""A run's end of telemetry: it starts the sender, gives the loop what writes to it, and lets go of it in the end."""
+"""A run's end of telemetry: starts the sender, gives the loop what writes to it, lets go of it in the end."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ LETTING_GO = second // 2
 """How long (ns) the end of a run waits for the sender while that makes no progress."""
 AT_MOST = 30 * second
 """How long (ns) it waits while the sender does."""
+GONE = 0.2
+"""How long (s) it may take to be gone, once it has said its last."""
 ROOM = 0.0005
 """How often (s) a run under the virtual clock looks whether there is room again."""
 
@@ -71,10 +73,10 @@ class Link:
         times = {"epoch_ns": 0, "began_ns": 0} if self._virtual else {"epoch_ns": epoch(), "began_ns": now}
         told = dict(about) | times | {"agent": place.agent, "run": place.run_id, "control": bool(wishes.commands)}
         order = Order(
-            self._fd, RING, tuple(place), told, wishes.publish, wishes.record, bool(wishes.commands),
+            self._fd, RING, (place.agent, place.run_id), told, wishes.publish, wishes.record, bool(wishes.commands),
             list(wishes.commands),
         )  # fmt: skip
-        process = subprocess.Popen(  # noqa: S603  # our own program
+        process = subprocess.Popen(  # our own program
             [sys.executable, "-m", "rtagent.telemetry.sender"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self._fd], bufsize=0,
         )  # fmt: skip
@@ -85,7 +87,7 @@ class Link:
         return process
 
     def _make_room(self) -> None:
-        """Hand on what was appended; under the virtual clock, where the world stands still meanwhile, wait for room."""
+        """Hand on what was appended, at once; the world of the virtual clock stands still meanwhile."""
         pause = threading.Event()
         while self.collector.buffer and self._process.poll() is None:
             if not self._feeder.feed():
@@ -117,13 +119,21 @@ class Link:
         while self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
             left = self._ring.filled
             self._listener.join(LETTING_GO / second)
-        self._process.returncode = 0  # it ends by itself, and is not waited for
+        self._let_go()
+        if self._wishes.record and not self.closed and not self.collector.troubles:
+            self.collector.troubles.append(
+                f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended."
+            )
+        return list(self.collector.troubles)
+
+    def _let_go(self) -> None:
+        """See the sender's process off; one that still writes ends by itself, and is not waited for."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE if not self._listener.is_alive() else 0)
+        self._process.returncode = 0
         if not self._listener.is_alive() and self._process.stdout is not None:
             self._process.stdout.close()
         os.close(self._fd)
-        if self._wishes.record and not self.closed and not self.collector.troubles:
-            self.collector.troubles.append(f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended.")
-        return list(self.collector.troubles)
 
 
 def time_of_day() -> str:

@@ -12,7 +12,7 @@ HEAD, TAIL, DATA = 0, 1, 64
 """Places of the two counts, in words of 8 bytes, and where messages begin, in bytes."""
 LENGTH = 4
 POPULATED = getattr(mmap, "MAP_POPULATE", 0)
-"""All of it is there from the beginning: a page that comes when it is first written to costs the loop microseconds."""
+"""All of it is there from the beginning: a page that comes when it is first written to takes microseconds."""
 WRAP = (0xFFFFFFFF).to_bytes(LENGTH, "little")
 """Stands where the next message did not fit before the end, and begins at the start."""
 

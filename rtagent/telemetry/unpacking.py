@@ -63,7 +63,9 @@ class Unpacker:
                 yield from getattr(self, f"_{name}")(*args)
         if newest is not None:
             values = np.frombuffer(newest, self._precision)[self._order]
-            yield self.make(records.Prediction, self._learned_at, about_ns=self._about, values=_finite(values.tolist()))
+            yield self.make(
+                records.Prediction, self._learned_at, about_ns=self._about, values=_finite(values.tolist())
+            )
         if components:
             yield self.make(records.Components, last, **components)
 

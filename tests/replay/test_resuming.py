@@ -11,15 +11,17 @@ from hypothesis import strategies as st
 from keeping import KeepsAll, all_of, learned, plain, run_scenario
 from parts import run_stopping, sarsa_agent
 
-from rtagent import Agent
+from rtagent import Agent, ms, second
 from rtagent.checkpoint.file import read, write
 from rtagent.checkpoint.keeper import Keeper, Rules
+from rtagent.device import Device
 from rtagent.errors import CheckpointError, SpecError
 from rtagent.features import Tabular
 from rtagent.learning import QLearning, Sarsa
 from rtagent.policy import Greedy
 from rtagent.tasks import Stopping
-from rtagent_drivers.stopping import stopping_joint
+from rtagent_drivers.fake import FakeDevice
+from rtagent_drivers.stopping import StoppingWorld, stopping_joint
 
 PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
 SAMPLED = 'devices.joint.sampling={rate="100Hz",delay="3ms",jitter="5ms"}'
@@ -142,7 +144,7 @@ def test_under_the_real_clock_a_broken_off_episode_is_followed_by_the_next(prese
     assert np.isfinite(result.agents[0].learner.weights).all()  # type: ignore[union-attr]  # tabular
 
 
-def test_what_cannot_be_saved_is_told_once_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_an_agent_that_cannot_be_saved_is_told_before_anything_is_opened(tmp_path: Path) -> None:
     class Forgetful(Sarsa):
         save = None  # type: ignore[assignment]
 
@@ -150,11 +152,33 @@ def test_what_cannot_be_saved_is_told_once_and_the_run_goes_on(tmp_path: Path) -
         features = Tabular(state=Stopping().state)
         return Agent(features, Forgetful(size=features.size, actions=2), Greedy(), rng)
 
+    with pytest.raises(SpecError, match="Forgetful remembers and cannot be saved: give it save and restore"):
+        run_stopping(agent=make, joint=never_opened(), keeper=Keeper(tmp_path / "a.ckpt"))
+
+
+def never_opened() -> Device:
+    joint = stopping_joint()
+
+    async def never() -> None:
+        raise AssertionError("it was opened")
+
+    joint.open = never  # type: ignore[method-assign]  # a trap
+    return joint
+
+
+class Unsaved(StoppingWorld):
+    """A world of a user's who has not heard of checkpoints."""
+
+    save = None  # type: ignore[assignment]
+
+
+def test_a_world_that_cannot_be_saved_is_told_once_and_the_run_goes_on(tmp_path: Path) -> None:
+    joint = FakeDevice(Unsaved(5.0, 2.0, (500 * ms, 1500 * ms), second))
     keeper = Keeper(tmp_path / "a.ckpt", Rules(step=3))
-    result = run_stopping(agent=make, keeper=keeper)
+    result = run_stopping(joint=joint, keeper=keeper)
     (fault,) = result.faults
     assert fault.count == 1
-    assert "Forgetful remembers and cannot be saved: give it save and restore" in fault.message
+    assert fault.message == "no checkpoint is kept: Unsaved cannot be saved: give it save and restore."
     assert result.episodes[-1].finished
     assert not keeper.path.exists()
 
@@ -175,14 +199,8 @@ def test_the_checkpoint_of_another_agent_is_refused_before_anything_is_opened(tm
     def other(rng: np.random.Generator) -> Agent:
         return Agent(Tabular(state=Stopping().state), Sarsa(size=2, actions=3), Greedy(), rng)
 
-    joint = stopping_joint()
-
-    async def never() -> None:
-        raise AssertionError("it was opened")
-
-    joint.open = never  # type: ignore[method-assign]  # a trap
     with pytest.raises(CheckpointError, match=r"does not fit this run: .*not float64 of shape \(3, 2\)"):
-        run_stopping(agent=other, joint=joint, keeper=Keeper(path, resumed=read(path)))
+        run_stopping(agent=other, joint=never_opened(), keeper=Keeper(path, resumed=read(path)))
 
 
 def test_an_agent_takes_all_of_a_state_or_nothing() -> None:
