@@ -57,8 +57,8 @@ class Instrument:
     def reacted(self, reaction: Reaction) -> None:
         """A stimulus got its first reaction."""
 
-    def trial_ended(self, trial: int, agent: Agent) -> None:
-        """A trial ended, and all was learned that will be."""
+    def trial_ended(self, trial: int, agent: Any) -> None:
+        """A trial ended, and its `rtagent.Agent` has learned all that it will."""
 
     def fault(self, source: str, message: str, time: int) -> None:
         """Something failed."""

@@ -8,19 +8,17 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.random import Generator
 
 from rtagent.agent import Agent
 from rtagent.checkpoint.keeper import Keeper
-from rtagent.checkpoint.resumed import Resumed, fitting
-from rtagent.clock import VirtualClock, current
+from rtagent.clock import current
 from rtagent.costs import Costs
 from rtagent.device import Device, Foreseeing
 from rtagent.errors import (
-    CheckpointError,
     ClockError,
     DeviceError,
     LimitError,
@@ -30,12 +28,12 @@ from rtagent.errors import (
 )
 from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
+from rtagent.keeping import Keeping
 from rtagent.latch import Latch
 from rtagent.protection import WATCHDOG, Protection, Watchdog
 from rtagent.recorder import Fault, Recorder
 from rtagent.result import LEARNING, Result, RunError
 from rtagent.runtime import NO_HABITS, Habits, Limits, Runtime, agent_prologue
-from rtagent.saving import Saved
 from rtagent.schedule import Schedule
 from rtagent.shutdown import close_all, make_all_safe
 from rtagent.streams import stream
@@ -152,8 +150,6 @@ class _Life:
         self._agents: list[Agent] = []
         self._running: Runtime | None = None
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
-        if keeper is not None:
-            self._first_agent.save()  # tells at once what cannot be saved, and touches all memory
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
         specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
@@ -161,11 +157,10 @@ class _Life:
         check_urgency(schedule.learn, task, self._first_agent.learner, specs)
         if self._clock.virtual:
             refuse_stuck(devices, schedule, costs, plan)
-        self._ended_trials: list[Saved] = []
-        self._resumed: Resumed | None = None
-        self._keeper = keeper
-        if keeper is not None:
-            self._resume(keeper)
+        self._keeping = Keeping(keeper, plan, self._clock, self._recorder, self._devices, self._agents)
+        self._keeping.begin(self._report)
+        self._keeping.take_agent(self._first_agent, 0)
+        self._began = self._keeping.began
 
     async def live(self) -> Result:
         self._hooks.call("run_began", self._report)
@@ -177,7 +172,7 @@ class _Life:
                 work.cancel()
                 await self._make_safe(end)
                 await asyncio.wait({work}, timeout=GIVE_UP_TIMEOUT / second)
-                await self._keep_broken_off(end)
+                await self._keeping.run_ended(broken_off=end is not None and end.source != "run")
                 await self._drain(end)
         except asyncio.CancelledError:
             work.cancel()
@@ -202,14 +197,14 @@ class _Life:
             self._protection.begun = True
         for trial, agent in enumerate(agents):
             self._agents.append(agent)
-            if self._resumed is not None and trial < self._resumed.trial:
+            if self._keeping.is_over(trial):
                 continue
             runtime = self._running = self._runtime(agent, trial)
             self._hooks.call("trial_began", trial, agent)
-            for episode in range(await self._go_on(runtime, trial), self._plan.episodes):
+            for episode in range(await self._keeping.go_on(runtime, trial), self._plan.episodes):
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
-                await self._episode_ended(trial, episode)
+                await self._keeping.episode_ended(trial, episode)
             if trial < self._plan.trials - 1:
                 await runtime.drain(None)
                 self._hooks.call("trial_ended", trial, agent)
@@ -219,9 +214,7 @@ class _Life:
         yield self._first_agent
         for trial in range(1, self._plan.trials):
             agent = self._make_agent(stream(self._plan.seed, "policy", trial))
-            self._restore_agent(agent, trial)
-            if self._keeper is not None:
-                agent.save()  # so that its memory has been touched
+            self._keeping.take_agent(agent, trial)
             yield agent
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
@@ -237,118 +230,8 @@ class _Life:
             costs_rng=stream(self._plan.seed, "costs", trial),
             limits=self._plan.limits,
             learning_failed=self._learning_failed,
-            habits=self._habits if self._keeper is None else replace(self._habits, calm=self._calm),
+            habits=self._keeping.habits(self._habits),
         )
-
-    # Checkpoints
-
-    def _resume(self, keeper: Keeper) -> None:
-        """Go on from a checkpoint, if there is one: nothing is open yet."""
-        if keeper.resumed is not None:
-            resumed = self._resumed = Resumed(keeper.resumed.saved, self._clock.virtual)
-            if resumed.trial >= self._plan.trials:
-                raise CheckpointError(
-                    f"{keeper.path} is of trial {resumed.trial + 1}, and this run has {self._plan.trials}: "
-                    "give it as many as before, or more."
-                )
-            with fitting():
-                self._restore(resumed)
-        keeper.begin(self, self._clock, self._report)
-
-    def _restore(self, resumed: Resumed) -> None:
-        saved = resumed.saved
-        self._restore_agent(self._first_agent, 0)
-        self._recorder.restore(saved["recorder"])
-        self._began = self._clock.now() - saved["age"]
-        self._ended_trials = saved["agents"][: resumed.trial]
-        if resumed.exact and isinstance(self._clock, VirtualClock):
-            self._clock.go_on_from(saved["now"])
-            self._began = saved["now"] - saved["age"]
-            for name, device in self._devices.items():
-                device.restore_device(saved["world"]["devices"][name])
-
-    def _restore_agent(self, agent: Agent, trial: int) -> None:
-        saved = self._resumed.agent(trial) if self._resumed else None
-        if saved is not None:
-            with fitting():
-                agent.restore(saved)
-
-    async def _go_on(self, runtime: Runtime, trial: int) -> int:
-        """Go on with the trial and episode of the checkpoint; return which episode comes next."""
-        resumed = self._resumed
-        if resumed is None or trial != resumed.trial:
-            return 0
-        with fitting():
-            runtime.restore(resumed.saved["runtime"])
-        if resumed.open and resumed.exact:
-            world = resumed.saved["world"]
-            for name, device in self._devices.items():
-                device.restore(world["devices"][name])
-            runtime.restore_episode(world["episode"])
-            await runtime.go_on()
-            await self._episode_ended(trial, resumed.episodes - 1)
-        elif resumed.open:
-            self._agents[-1].break_off()
-        episodes: int = resumed.episodes
-        return episodes
-
-    async def _episode_ended(self, trial: int, episode: int) -> None:
-        if self._keeper is not None:
-            last_episode = episode == self._plan.episodes - 1
-            await self._keeper.episode_ended(last=last_episode and trial == self._plan.trials - 1)
-
-    def _calm(self) -> None:
-        if self._keeper is not None:
-            self._keeper.look()
-        if self._habits.calm is not None:
-            self._habits.calm()
-
-    @property
-    def steps(self) -> int:
-        """How many steps the run has made."""
-        return sum(episode.steps for episode in self._recorder.episodes)
-
-    @property
-    def settled(self) -> bool:
-        """Whether it can be captured in the middle of an episode now."""
-        return self._running is not None and self._running.settled
-
-    def unsettle(self) -> None:
-        """Let learning go on."""
-        if self._running is not None:
-            self._running.work.unsettle()
-
-    def learned_whole(self) -> bool:
-        """Finish what is half learned, if that can be done now; say whether nothing is."""
-        return self._running is not None and self._running.work.settle(wait=True)
-
-    def capture(self, within_episode: bool) -> Saved:
-        """Return all that is needed to go on from here; the world only under the virtual clock."""
-        assert self._running is not None, "there is nothing to be kept before a run"
-        newest, now = self._recorder.episodes[-1], self._clock.now()
-        for ended in self._agents[len(self._ended_trials) : -1]:
-            self._ended_trials.append(ended.save())
-        return {
-            "place": {"trial": newest.trial, "episodes": newest.episode + 1, "open": within_episode},
-            "now": now,
-            "age": now - self._began,
-            "recorder": self._recorder.save(),
-            "agents": [*self._ended_trials, self._agents[-1].save()],
-            "runtime": self._running.save(),
-            "world": self._save_world(self._running, within_episode) if self._clock.virtual else None,
-        }
-
-    def _save_world(self, runtime: Runtime, within_episode: bool) -> Saved:
-        devices = {name: device.save() for name, device in self._devices.items()}
-        return {"devices": devices, "episode": runtime.save_episode() if within_episode else None}
-
-    async def _keep_broken_off(self, end: _End | None) -> None:
-        """Keep what was learned in a run that was stopped; an exception of its own may have spoiled it."""
-        if self._keeper is None:
-            return
-        if end is not None and end.source != "run" and not self._clock.virtual and self._recorder.episodes:
-            await self._keeper.keep_now(within_episode=not self._recorder.episodes[-1].finished)
-        await self._keeper.written()
 
     async def _until_end(self, work: asyncio.Future[None], stopped: asyncio.Future[None]) -> _End | None:
         """Wait for the work's own end, a stop, a call that never returns, or the end of a suspension."""

@@ -25,7 +25,7 @@ LAYERS = [
     },
     {
         "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime",
-        "result", "lifecycle", "shutdown", "protection",
+        "result", "keeping", "lifecycle", "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

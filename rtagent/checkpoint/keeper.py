@@ -115,13 +115,14 @@ class Keeper:
     def _keep(self, within_episode: bool) -> None:
         began = self._clock.now()
         self._put_off()
-        if self._failed:
+        if self._failed and within_episode:
             return
         try:
             saved = self._run.capture(within_episode)
         except RtagentError as error:
             self._failed = True
-            self._report("checkpoint", f"no checkpoint is kept: {error}")
+            where = " in the middle of an episode" if within_episode else ""
+            self._report("checkpoint", f"no checkpoint is kept{where}: {error}")
             return
         self.taken.append(self._clock.now() - began)
         if self._clock.virtual:

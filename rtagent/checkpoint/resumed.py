@@ -24,7 +24,9 @@ class Resumed:
             for part in PARTS:
                 saved[part]
             place = saved["place"]
-            self.trial, self.episodes, self.open = place["trial"], place["episodes"], place["open"]
+            self.trial: int = place["trial"]
+            self.episodes: int = place["episodes"]
+            self.open: bool = place["open"]
             self.exact = virtual and saved["world"] is not None
 
     def agent(self, trial: int) -> Saved | None:

@@ -34,8 +34,9 @@ def keeper_of(scenario: Scenario, *, resume: bool) -> Keeper | None:
 def told(keeper: Keeper, checkpoint: Checkpoint) -> str:
     """Return a line on where a run goes on."""
     place = checkpoint.saved["place"]
-    where = "in the middle of" if place["open"] else "after"
-    return f"goes on from {keeper.path}: trial {place['trial'] + 1}, {where} episode {place['episodes']}"
+    where = f"trial {place['trial'] + 1}, {'in the middle of' if place['open'] else 'after'} episode {place['episodes']}"
+    world = "" if checkpoint.saved["world"] else ", with what was learned; the next episode begins anew"
+    return f"goes on from {keeper.path}: {where}{world}"
 
 
 def _check_place(path: Path, resume: bool) -> None:

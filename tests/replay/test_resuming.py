@@ -133,7 +133,7 @@ def test_under_the_real_clock_what_was_learned_goes_on(tmp_path: Path) -> None:
 @pytest.mark.parametrize("preset", ["reactive", "interruptible", "background"])
 def test_under_the_real_clock_a_broken_off_episode_is_followed_by_the_next(preset: str, tmp_path: Path) -> None:
     overrides = ["run.episodes=3", f"schedule.preset={preset}", "schedule.learn_delay=5ms"]
-    keeper = KeepsAll(tmp_path, Rules(step=25))
+    keeper = KeepsAll(tmp_path, Rules(step=5, episodes=0))
     run_scenario("hallway_synchronous", overrides, keeper, "real")
     checkpoint = next(each for each in keeper.checkpoints() if each.saved["place"]["open"])
     begun = checkpoint.saved["place"]["episodes"]
@@ -172,15 +172,26 @@ class Unsaved(StoppingWorld):
     save = None  # type: ignore[assignment]
 
 
-def test_a_world_that_cannot_be_saved_is_told_once_and_the_run_goes_on(tmp_path: Path) -> None:
-    joint = FakeDevice(Unsaved(5.0, 2.0, (500 * ms, 1500 * ms), second))
-    keeper = Keeper(tmp_path / "a.ckpt", Rules(step=3))
-    result = run_stopping(joint=joint, keeper=keeper)
+def unsaved() -> FakeDevice:
+    return FakeDevice(Unsaved(5.0, 2.0, (500 * ms, 1500 * ms), second))
+
+
+def test_a_world_that_cannot_be_saved_within_an_episode_is_told_once(tmp_path: Path) -> None:
+    result = run_stopping(joint=unsaved(), keeper=Keeper(tmp_path / "a.ckpt", Rules(every=10 * ms)))
     (fault,) = result.faults
     assert fault.count == 1
-    assert fault.message == "no checkpoint is kept: Unsaved cannot be saved: give it save and restore."
+    assert fault.message.startswith("no checkpoint is kept in the middle of an episode: Unsaved cannot be saved")
     assert result.episodes[-1].finished
-    assert not keeper.path.exists()
+
+
+def test_with_such_a_world_a_run_goes_on_with_the_next_episode(tmp_path: Path) -> None:
+    path = tmp_path / "a.ckpt"
+    run_stopping(episodes=3, joint=unsaved(), keeper=Keeper(path))
+    assert read(path).saved["world"] is None
+    resumed = run_stopping(episodes=6, joint=unsaved(), keeper=Keeper(path, resumed=read(path)))
+    whole = run_stopping(episodes=6, joint=unsaved())
+    assert [each.total_reward for each in resumed.episodes] == [each.total_reward for each in whole.episodes]
+    assert learned(resumed.agents[0]) == learned(whole.agents[0])
 
 
 def test_a_disk_that_takes_nothing_is_a_fault_and_the_run_goes_on(tmp_path: Path) -> None:
