@@ -34,7 +34,8 @@ def keeper_of(scenario: Scenario, *, resume: bool) -> Keeper | None:
 def told(keeper: Keeper, checkpoint: Checkpoint) -> str:
     """Return a line on where a run goes on."""
     place = checkpoint.saved["place"]
-    where = f"trial {place['trial'] + 1}, {'in the middle of' if place['open'] else 'after'} episode {place['episodes']}"
+    when = "in the middle of" if place["open"] else "after"
+    where = f"trial {place['trial'] + 1}, {when} episode {place['episodes']}"
     world = "" if checkpoint.saved["world"] else ", with what was learned; the next episode begins anew"
     return f"goes on from {keeper.path}: {where}{world}"
 
