@@ -77,6 +77,7 @@ async def until(device: Device, name: str, value: float) -> Sample:
     raise AssertionError(f"{name} is {sample.values[name]}, not {value}")
 
 
+@pytest.mark.slow
 def test_both_levels_obey_alike() -> None:
     """The same orders take both to the same places, under the same limits, in the joints' own coordinates."""
 
