@@ -49,6 +49,7 @@ WORLDS = [
 OTHERS = [
     ("hallway", ["run.episodes=4", "run.trials=2"]),
     ("hallway", ["run.episodes=4", "schedule.preset=interruptible", "learner.type=true_online_sarsa"]),
+    ("bento_stopping", ["run.fake=process", "run.episodes=3"]),
     ("hallway_synchronous", ["run.episodes=6", "learner.type=q_learning"]),
     ("predict", ["devices.arm.arm.duration=8s", "features.prototypes=60", "learner.measured=5"]),
     (
