@@ -32,6 +32,9 @@ class Processor(Protocol):
     def start(self, backlog: Backlog, over: Callable[[Update, BaseException | None], None]) -> None:
         """Begin to work."""
 
+    def wake(self) -> None:
+        """Say that transitions wait, and are not to be held back."""
+
     def next_event(self, now: int) -> int | None:
         """Return when (ns) it will be done with what it does, where that is known."""
 
@@ -42,7 +45,7 @@ class Processor(Protocol):
         """Begin nothing more, and say whether nothing is half done."""
 
     def unsettle(self) -> None:
-        """Go on; transitions may wait."""
+        """Go on, if it was held back."""
 
     def save(self) -> Saved | None:
         """Return what it is doing, if anything; nothing of it is done yet."""
@@ -88,7 +91,7 @@ class Elsewhere:
         """Hand over what waits; where no device paces the cycle, wait until it is learned or something is new."""
         await self.relieve()
         if self._queue:
-            self._processor.unsettle()
+            self._processor.wake()
         if not self._senses.paced and self.length:
             self._senses.watch()
             while self.length and not self._senses.news():
@@ -104,7 +107,7 @@ class Elsewhere:
                 while backlog.overfull:
                     backlog.shed()
             return
-        self._processor.unsettle()
+        self._processor.wake()
         self._pressed = True
         while backlog.overfull:
             await asyncio.wait({self._progress})
@@ -142,7 +145,7 @@ class Elsewhere:
         self._processor.restore(saved["doing"])
 
     async def _learn_until(self, deadline: int | None) -> None:
-        self._processor.unsettle()
+        self._processor.wake()
         while self.length and (deadline is None or self._clock.now() < deadline):
             left = None if deadline is None else (deadline - self._clock.now()) / second
             await asyncio.wait({self._progress}, timeout=left)

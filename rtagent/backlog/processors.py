@@ -35,6 +35,11 @@ class LearnerThread:
         self._backlog, self._over, self._loop = backlog, over, asyncio.get_running_loop()
         self._thread.start()
 
+    def wake(self) -> None:
+        """Say that transitions wait, and are not to be held back."""
+        self._pausing = False
+        self._waiting.release()
+
     def next_event(self, now: int) -> int | None:
         """Return None: when it will be done is not known."""
         return None
@@ -51,9 +56,9 @@ class LearnerThread:
             return self.update is None
 
     def unsettle(self) -> None:
-        """Go on; transitions may wait."""
-        self._pausing = False
-        self._waiting.release()
+        """Go on, if it was held back."""
+        if self._pausing:
+            self.wake()
 
     def save(self) -> Saved | None:
         """Return None: it is saved when it does nothing."""
@@ -137,8 +142,8 @@ class SecondProcessor:
         """Begin to work."""
         self._backlog, self._over, self._loop = backlog, over, asyncio.get_running_loop()
 
-    def unsettle(self) -> None:
-        """Go on; transitions may wait."""
+    def wake(self) -> None:
+        """Say that transitions wait."""
         if self.update is None and self._backlog.queue:
             update = self._backlog.take(sliced=False)
             self._learn(update, self._backlog.desk.clock.now() + update.cost)
@@ -161,6 +166,9 @@ class SecondProcessor:
     def settle(self) -> bool:
         """Say yes: an update is learned in one piece, when its cost has passed."""
         return True
+
+    def unsettle(self) -> None:
+        """Do nothing: it was not held back."""
 
     def save(self) -> Saved | None:
         """Return the update whose cost passes, and when (ns) it will have passed."""
@@ -185,4 +193,4 @@ class SecondProcessor:
             error = raised
         self.update, update.spent = None, update.cost
         self._over(update, error)
-        self.unsettle()
+        self.wake()

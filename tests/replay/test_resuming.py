@@ -46,9 +46,12 @@ WORLDS = [
     ("stopping", ["run.episodes=3", "run.trials=2"]),
     ("stopping_horde", HORDE),
 ]
+SMALL = ["devices.webcam.width=64", "devices.webcam.height=48", "devices.glove.rate=100Hz"]
 OTHERS = [
     ("hallway", ["run.episodes=4", "run.trials=2"]),
     ("hallway", ["run.episodes=4", "schedule.preset=interruptible", "learner.type=true_online_sarsa"]),
+    ("cartpole", ["run.episodes=3", "schedule.preset=background"]),
+    ("grasp_recording", ["run.fake=process", "run.episode_time=1s", "features.prototypes=100", *SMALL]),
     ("bento_stopping", ["run.fake=process", "run.episodes=3"]),
     ("hallway_synchronous", ["run.episodes=6", "learner.type=q_learning"]),
     ("predict", ["devices.arm.arm.duration=8s", "features.prototypes=60", "learner.measured=5"]),
