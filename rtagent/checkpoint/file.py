@@ -46,7 +46,7 @@ class Checkpoint(NamedTuple):
 
 def write(path: Path, about: Mapping[str, Any], saved: Saved) -> None:
     """Write a checkpoint where another may be, which stays whole until this one is; raise `CheckpointError`."""
-    new = path.with_name(f".{path.name}.{os.getpid()}")
+    new = path.with_name(f".{path.name}.new")
     try:
         with new.open("wb") as file:
             _write(file, about, saved)
