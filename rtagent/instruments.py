@@ -40,7 +40,10 @@ class Instrument:
         """The agent observed; `stimuli` are those that this observation is the first to contain."""
 
     def had_learned(self, transitions: int, pieces: int) -> None:
-        """So much was learned at the choice that follows: whole transitions, and pieces of the next one."""
+        """So much was learned at the choice that follows: whole transitions, and pieces of the next one.
+
+        It is told to an instrument that hears `chose`.
+        """
 
     def chose(self, action: int, probability: float, time: int) -> None:
         """The agent chose an action."""

@@ -259,8 +259,6 @@ class Runtime:
             self._hooks.note("observed", observation, stimuli)
 
     async def _choose(self) -> None:
-        if "had_learned" in self._heard:
-            self._hooks.note("had_learned", *self.work.progress)
         if self._in_one_piece:
             decision = self._agent.choose()
         else:
@@ -271,6 +269,8 @@ class Runtime:
         self._reactions.chose()
         end = self._done(CHOOSE)
         if "chose" in self._heard:
+            if "had_learned" in self._heard:
+                self._hooks.note("had_learned", *self.work.progress)
             self._hooks.note("chose", decision.action, decision.probability, end)
 
     async def _act(self) -> None:
