@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -85,6 +86,7 @@ class Keeping:
             for name, device in self._devices.items():
                 device.restore(world["devices"][name])
             runtime.restore_episode(world["episode"])
+            await asyncio.sleep(0)  # what waits for samples begins to before the run does, as it had
             await runtime.go_on()
             await self.episode_ended(trial, resumed.episodes - 1)
         elif resumed.open:

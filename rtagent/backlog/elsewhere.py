@@ -16,18 +16,15 @@ from rtagent.units import second
 class Processor(Protocol):
     """What learns: it takes transitions from the backlog, the oldest first, and says on the loop when one is over.
 
-    `taken` says how many it took; that and the queue are looked at together only within `gate`. Within `weights`
-    nothing learns.
+    `held`: it takes nothing, as it is to be saved. `taken` says how many it took; that and the queue are looked at
+    together only within `gate`. Within `weights` nothing learns.
     """
 
     taken: int
+    held: bool
     update: Update | None
     gate: AbstractContextManager[Any]
     weights: AbstractContextManager[Any]
-
-    @property
-    def busy(self) -> bool:
-        """Whether it is at work on one that it took."""
 
     def start(self, backlog: Backlog, over: Callable[[Update, BaseException | None], None]) -> None:
         """Begin to work."""
@@ -41,8 +38,8 @@ class Processor(Protocol):
     def close(self) -> None:
         """End; what it was doing is left where it is."""
 
-    def settle(self) -> bool:
-        """Begin nothing more, and say whether nothing is half done."""
+    def settle(self) -> int:
+        """Take nothing more; return how many were taken of which nothing is done before all is."""
 
     def unsettle(self) -> None:
         """Go on, if it was held back."""
@@ -90,9 +87,10 @@ class Elsewhere:
     async def learn(self) -> None:
         """Hand over what waits; where no device paces the cycle, wait until it is learned or something is new."""
         await self.relieve()
-        if self._queue:
+        if self._queue and not self._processor.held:
             self._processor.wake()
         if not self._senses.paced and self.length:
+            self._processor.wake()
             self._senses.watch()
             while self.length and not self._senses.news():
                 await self._senses.wait_for_news(self._progress)
@@ -127,7 +125,7 @@ class Elsewhere:
 
     def settle(self, wait: bool) -> bool:
         """Say whether nothing is half learned, so that it can be saved; until `unsettle` nothing more is begun."""
-        return self._processor.settle() and self._over == self._processor.taken - self._processor.busy
+        return self._over == self._processor.taken - self._processor.settle()
 
     def unsettle(self) -> None:
         """Let learning go on."""

@@ -27,7 +27,7 @@ class LearnerThread:
         self.gate: AbstractContextManager[Any] = threading.Lock()
         self.weights: AbstractContextManager[Any] = _Turn(self.gate, threading.Lock())
         self._waiting = threading.Semaphore(0)
-        self._closing = self._pausing = False
+        self._closing = self.held = False
         self._thread = threading.Thread(target=self._work, name="rtagent-learner", daemon=True)
 
     def start(self, backlog: Backlog, over: Over) -> None:
@@ -37,27 +37,22 @@ class LearnerThread:
 
     def wake(self) -> None:
         """Say that transitions wait, and are not to be held back."""
-        self._pausing = False
+        self.held = False
         self._waiting.release()
 
     def next_event(self, now: int) -> int | None:
         """Return None: when it will be done is not known."""
         return None
 
-    @property
-    def busy(self) -> bool:
-        """Whether it is at work."""
-        return self.update is not None
-
-    def settle(self) -> bool:
-        """Begin nothing more, and say whether nothing is half done."""
+    def settle(self) -> int:
+        """Take nothing more; return 0, as any update may be half done."""
         with self.gate:
-            self._pausing = True
-            return self.update is None
+            self.held = True
+        return 0
 
     def unsettle(self) -> None:
         """Go on, if it was held back."""
-        if self._pausing:
+        if self.held:
             self.wake()
 
     def save(self) -> Saved | None:
@@ -89,7 +84,7 @@ class LearnerThread:
 
     def _take(self) -> Update | None:
         with self.gate:
-            takes = bool(self._backlog.queue) and not self._pausing
+            takes = bool(self._backlog.queue) and not self.held
             self.update = self._backlog.take(sliced=True) if takes else None
             self.taken += self.update is not None
         return self.update
@@ -131,7 +126,7 @@ class SecondProcessor:
     """The second processor of the virtual clock: a transition is learned when its cost has passed."""
 
     def __init__(self) -> None:
-        self.taken = 0
+        self.taken, self.held = 0, False
         self.update: Update | None = None
         self.gate: AbstractContextManager[Any] = nullcontext()
         self.weights: AbstractContextManager[Any] = nullcontext()
@@ -158,14 +153,9 @@ class SecondProcessor:
         """Return when (ns) it will be done."""
         return None if self.update is None else self._until
 
-    @property
-    def busy(self) -> bool:
-        """Whether the cost of an update passes."""
-        return self.update is not None
-
-    def settle(self) -> bool:
-        """Say yes: an update is learned in one piece, when its cost has passed."""
-        return True
+    def settle(self) -> int:
+        """Return how many are being learned: in one piece, when the cost has passed."""
+        return int(self.update is not None)
 
     def unsettle(self) -> None:
         """Do nothing: it was not held back."""

@@ -23,7 +23,7 @@ from rtagent.scenario import assemble, load
 PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
 HORDE = ["horde.features.prototypes=60", "devices.arm.joints=2", "run.episodes=2"]
 EXPLORES = ["policy.type=epsilon_greedy", "policy.epsilon=0.3"]
-QUICK = ['devices.joint.onset=["50ms","100ms"]', "learn.queue=20"]
+QUICK = ['devices.joint.onset=["30ms","50ms"]', "learn.queue=20"]
 
 
 def recorded(name: str, overrides: Sequence[str], clock_name: ClockName) -> tuple[Result, list[Event]]:
@@ -52,7 +52,7 @@ def test_a_run_in_virtual_time_is_replayed_exactly(preset: str) -> None:
     overrides = [
         "run.episodes=3",
         "run.trials=2",
-        "schedule.learn_delay=30ms",
+        "schedule.learn_delay=5ms",
         *EXPLORES,
         f"schedule.preset={preset}",
     ]
@@ -69,7 +69,10 @@ def test_a_run_in_real_time_is_replayed_exactly(preset: str) -> None:
     assert result.agents[0].rng.random() == outcome.agents[0].rng.random() or preset == "background"
 
 
-@pytest.mark.parametrize(("name", "more"), [("hallway_synchronous", []), ("predict", ["features.prototypes=60"])])
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [("hallway_synchronous", []), ("predict", ["features.prototypes=60", "devices.arm.arm.duration=8s"])],
+)
 def test_so_are_other_tasks(name: str, more: list[str]) -> None:
     overrides = ["run.episode_steps=80", *more]
     result, events = recorded(name, overrides, "virtual")
@@ -90,7 +93,7 @@ def test_choices_in_the_middle_of_updates_are_replayed_with_what_control_had_lea
 
 
 def test_another_order_of_learning_and_choosing_would_have_chosen_otherwise() -> None:
-    overrides = ["run.episodes=4", "schedule.preset=interruptible", "schedule.learn_delay=40ms", *EXPLORES]
+    overrides = ["run.episodes=4", "schedule.preset=interruptible", "schedule.learn_delay=10ms", *EXPLORES]
     _, events = recorded("stopping", overrides, "virtual")
     late = [event._replace(learned=0, pieces=0) if isinstance(event, Chose) else event for event in events]
     outcome = replayed("stopping", overrides, late)
