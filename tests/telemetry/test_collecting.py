@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from collecting import assembled, collected
 from jsonschema import Draft202012Validator
+from parts import ROOT
 
 from rtagent import clock
 from rtagent.instruments import Instrument
@@ -135,6 +136,7 @@ def test_a_schema_is_an_object_that_needs_no_other(stream: str) -> None:
     Draft202012Validator.check_schema(made)
     assert made["type"] == "object"
     assert {"sequence", "time_ns"} <= set(made["required"])
+    assert f"| `{stream}` |" in (ROOT / "docs" / "telemetry.md").read_text()
 
 
 def test_records_are_as_their_schemas_say(told: tuple[Streams, Notes]) -> None:
