@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -31,12 +31,8 @@ STREAMS = {
 LostTold = tuple[Mapping[str, int], Mapping[str, tuple[Any, Any, int]]]
 
 
-class Cycle(NamedTuple):
-    """The calls of a cycle, the newest predictions where something was learned, and what was lost before it."""
-
-    calls: Calls
-    newest: bytes | None
-    lost: LostTold | None
+Cycle = tuple[Calls, bytes | None, LostTold | None]
+"""The calls of a cycle, the newest predictions where something was learned, and what was lost before it."""
 
 
 class Collector:
@@ -73,16 +69,13 @@ class Collector:
 
     def noted(self, calls: Calls) -> None:
         """Append what happened in a cycle."""
-        newest = self._newest
-        if newest is not None:
+        newest = None
+        if self._newest is not None:
             for name, _ in calls:
                 if name == "learned":
-                    self._put(calls, newest())
+                    newest = self._newest()
                     break
-            else:
-                self._put(calls)
-        else:
-            self._put(calls)
+        self._put(calls, newest)
         if self.troubles:
             self._tell_troubles()
 
@@ -118,7 +111,7 @@ class Collector:
             self._lost.add(calls, newest)
             return
         lost, self._lost = self._lost, None
-        self.buffer.append(Cycle(calls, newest, None if lost is None else lost.told()))
+        self.buffer.append((calls, newest, None if lost is None else lost.told()))
         if self._make_room is not None:
             self._make_room()
 

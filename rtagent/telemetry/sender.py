@@ -12,7 +12,7 @@ import queue
 import select
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -21,17 +21,21 @@ from rtagent.telemetry import records
 from rtagent.telemetry.connection import Access, TelemetryError
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.publishing import Publisher
-from rtagent.telemetry.recording import Recorder
 from rtagent.telemetry.records import STREAM_OF, Record
 from rtagent.telemetry.ring import Ring
 from rtagent.telemetry.unpacking import Unpacker
 from rtagent.units import second
+
+if TYPE_CHECKING:
+    from rtagent.telemetry.recording import Recorder
 
 ORDERS, ANSWERS = 0, 1
 PAUSE = 0.004
 """How long (s) it rests where there is nothing to send: nobody has to wake it."""
 AT_ONCE = 200
 """So many messages are sent before it looks at anything else."""
+OPENING = 2.0
+"""How long (s) what comes first waits for Zenoh."""
 CLOSING = 0.3
 """How long (s) Zenoh may take to close."""
 WRITING_OUT = 60.0
@@ -71,6 +75,8 @@ class Sender:
         if not path:
             return None
         try:
+            from rtagent.telemetry.recording import Recorder
+
             return Recorder(path, _trouble)
         except OSError as error:
             _trouble(f"nothing is recorded: {path}: {error.strerror}. Give another file.")
@@ -84,7 +90,7 @@ class Sender:
         publisher = Publisher(
             order.publish, Place(*order.place), self._command if order.control else None, _trouble
         )
-        publisher.start()
+        publisher.start(OPENING)
         return publisher
 
     def work(self) -> None:
@@ -100,12 +106,9 @@ class Sender:
     def end(self) -> None:
         """Tell what is missing, close the session, and end the recording."""
         self._emit(self._counters())
-        closed = self._recorder is None or self._recorder.close(CLOSING)
         if self._publisher is not None:
             self._publisher.close(CLOSING)
-        _tell(closed=closed)
-        if not closed and self._recorder is not None:
-            self._recorder.close(WRITING_OUT)
+        _tell(closed=self._recorder is None or self._recorder.close(WRITING_OUT))
 
     def _send_some(self) -> bool:
         """Send what waits, but not too much at once; say whether there was something."""
@@ -151,7 +154,7 @@ class Sender:
     def _counters(self) -> Record:
         lost = {f"lost.{stream}": count for stream, count in self._unpack.lost.items()}
         missing = {} if self._recorder is None else {"not_recorded": self._recorder.not_recorded}
-        values = lost | missing | self._unpack.counters | {"buffered": self._ring.filled}
+        values = lost | missing | {"buffered": self._ring.filled}
         return self._unpack.make(records.Counters, self._now(), values=values)
 
     def _command(self, name: str, text: str) -> str:
