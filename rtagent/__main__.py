@@ -38,6 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_list(commands)
     _add_stop(commands)
+    _add_watch(commands)
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
@@ -57,6 +58,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of each trial")
     run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
     run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
+    run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")
     _add_data(run)
     _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
@@ -82,6 +84,23 @@ def _add_stop(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         parser.add_argument("scenarios", nargs="+", metavar="scenario")
         _add_set(parser)
         parser.set_defaults(command=command)
+
+
+def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    watch = commands.add_parser("watch", help="show what goes on in runs, from any other terminal")
+    watch.add_argument("run", nargs="?", default="*", metavar="AGENT", help="those of this agent only")
+    watch.add_argument("--once", action="store_true", help="print what is known of each run once, and end")
+    add_access(watch)
+    watch.set_defaults(command=_watch)
+
+
+def add_access(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where telemetry is, and as whom to connect."""
+    parser.add_argument("--scenario", metavar="FILE", help="connect as its table telemetry says")
+    parser.add_argument("--endpoint", metavar="ENDPOINT", help="connect there, such as tls/robot.example:7448")
+    parser.add_argument("--user", metavar="NAME", help="connect as this user")
+    parser.add_argument("--password-file", metavar="FILE", help="with the password in this file")
+    parser.add_argument("--ca", metavar="FILE", help="trust the authority with this certificate (PEM)")
 
 
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -168,6 +187,12 @@ def _stop(arguments: argparse.Namespace) -> int:
     from rtagent.commands.stop import stop_command
 
     return stop_command(arguments)
+
+
+def _watch(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.watch import watch_command
+
+    return watch_command(arguments)
 
 
 def _rearm(arguments: argparse.Namespace) -> int:

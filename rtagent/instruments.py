@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rtagent.experience import Command, Observation, Stimulus, Transition
 from rtagent.reaction import Reaction
 from rtagent.recorder import EpisodeRecord
 from rtagent.schedule import Component
+
+if TYPE_CHECKING:
+    from rtagent.agent import Agent
 
 log = logging.getLogger("rtagent")
 
@@ -20,6 +23,18 @@ class Instrument:
     Times are in ns. During a cycle hooks are called after the act, never between an observation and its action.
     A hook that raises is removed for the rest of the run, and logged.
     """
+
+    def run_began(self, report: Callable[[str, str], None]) -> None:
+        """A run began; `report(source, message)` tells it of a fault that does not end it, on its event loop."""
+
+    def trial_began(self, trial: int, agent: Agent) -> None:
+        """A trial began, with this agent."""
+
+    def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        """A cycle was over: all its calls at once, as names of hooks with their arguments, before they are made.
+
+        For an instrument that has no time for a call each. The list is used again: it is not to be kept.
+        """
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
         """An episode began."""
@@ -49,6 +64,8 @@ class Instrument:
         """An episode ended."""
 
 
+NOTED = ("observed", "chose", "acted", "learned", "component", "reacted")
+"""The hooks whose calls are kept until the act is over."""
 HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
 
 
@@ -61,7 +78,8 @@ class Hooks:
             name: [hook for instrument in instruments if (hook := _own_hook(instrument, name)) is not None]
             for name in HOOKS
         }
-        self.heard = frozenset(name for name, calls in self._calls.items() if calls)
+        heard = {name for name, calls in self._calls.items() if calls}
+        self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
 
@@ -71,8 +89,11 @@ class Hooks:
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
+        if self._calls["noted"]:
+            self.call("noted", self.noted)
         for name, args in self.noted:
-            self.call(name, *args)
+            if self._calls[name]:
+                self.call(name, *args)
         self.noted.clear()
 
     def call(self, name: str, *args: Any) -> None:

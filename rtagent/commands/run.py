@@ -18,12 +18,14 @@ from rtagent.realtime import Manners, manners
 from rtagent.result import Result, RunError
 from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
+from rtagent.telemetry.wishes import open_telemetry
 
 
 def run_command(arguments: argparse.Namespace) -> int:
     """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
     try:
         _check_output(arguments.json)
+        _check_recording(arguments.record)
         scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
     except ScenarioError as error:
@@ -39,9 +41,11 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     told = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
+    telemetry = open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        run = assembly.run([progress] if progress else [], habits, latch)
+        instruments: list[object] = [each for each in (progress, telemetry and telemetry.collector) if each]
+        run = assembly.run(instruments, habits, latch)
         result = granted.run(
             _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
         )
@@ -53,6 +57,8 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     finally:
         if progress:
             progress.close()
+        if telemetry:
+            _tell_refused(telemetry.close("" if result is None else "done" if failure is None else str(failure)))
     if not arguments.quiet:
         print_report(result, out)
     _tell_refused(granted.refused[told:])
@@ -81,6 +87,16 @@ def _check_output(path: str | None) -> None:
     target = Path(str(path))
     if target.is_dir() or not target.parent.is_dir():
         raise ScenarioError([f"--json {path}: give a file in a folder that exists."])
+
+
+def _check_recording(path: str | None) -> None:
+    """Refuse, before anything runs, to record over something, or where nothing can be."""
+    if path is None:
+        return
+    if Path(path).exists():
+        raise ScenarioError([f"--record {path}: that is there already, and would be lost: give another name."])
+    if not Path(path).absolute().parent.is_dir():
+        raise ScenarioError([f"--record {path}: give a file in a folder that exists."])
 
 
 def _print_failure(failure: RunError) -> None:

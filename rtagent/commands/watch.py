@@ -1,0 +1,83 @@
+"""`rtagent watch`: what goes on in runs, as a table on the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import sys
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rtagent.commands.access import access
+from rtagent.errors import RtagentError
+from rtagent.telemetry.subscribe import Access, subscribe
+from rtagent.telemetry.watching import Watched
+
+EVERY = 0.25
+"""So often (s) the table is drawn."""
+ONCE = 1.5
+"""How long (s) is listened before what is known is printed once."""
+
+
+def watch_command(arguments: argparse.Namespace) -> int:
+    """Show runs until Ctrl-C; return 0, or 2 where there is no connection."""
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_watch(arguments.run, access(arguments), once=arguments.once))
+    except RtagentError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
+
+
+async def _watch(agent: str, access: Access, *, once: bool) -> None:
+    runs: dict[tuple[str, str], Watched] = {}
+    console = Console()
+    listening = asyncio.ensure_future(_listen(agent, access, runs))
+    try:
+        if once:
+            await asyncio.wait({listening}, timeout=ONCE)
+            console.print(_drawn(runs))
+        else:
+            await _draw(console, runs, listening)
+    finally:
+        if listening.done():
+            listening.result()
+        listening.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await listening
+
+
+async def _draw(console: Console, runs: dict[tuple[str, str], Watched], listening: asyncio.Future[None]) -> None:
+    with Live(_drawn(runs), console=console, auto_refresh=False, screen=console.is_terminal) as live:
+        while not listening.done():
+            await asyncio.wait({listening}, timeout=EVERY)
+            live.update(_drawn(runs), refresh=True)
+
+
+async def _listen(agent: str, access: Access, runs: dict[tuple[str, str], Watched]) -> None:
+    async with contextlib.aclosing(subscribe(agent, access=access)) as messages:
+        async for message in messages:
+            runs.setdefault((message.agent, message.run), Watched()).take(message)
+
+
+def _drawn(runs: dict[tuple[str, str], Watched]) -> Group:
+    if not runs:
+        return Group(Text("No run is published here. Start one: rtagent run scenarios/stopping.toml"))
+    now = asyncio.get_running_loop().time()
+    return Group(*(_table(agent, run, watched, now) for (agent, run), watched in runs.items()))
+
+
+def _table(agent: str, run: str, watched: Watched, now: float) -> Table:
+    table = Table(title=f"{agent}  {run}  {watched.state()}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("stream", "a second", "all", "missed", "newest"):
+        table.add_column(name, justify="right" if name not in ("stream", "newest") else "left", no_wrap=True)
+    for row in watched.rows(now):
+        table.add_row(row.stream, f"{row.rate:,.0f}", f"{row.count:,}", f"{row.missed:,}", Text(row.newest))
+    return table
+
+

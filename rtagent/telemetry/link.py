@@ -1,0 +1,143 @@
+"""A run's end of telemetry: it starts the sender, gives the loop what writes to it, and lets go of it in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import msgspec
+
+from rtagent.clock import RealClock
+from rtagent.telemetry.collect import Collector
+from rtagent.telemetry.connection import Access
+from rtagent.telemetry.keys import Place
+from rtagent.telemetry.ring import DATA, Ring
+from rtagent.telemetry.sender import Order
+from rtagent.units import second
+
+LETTING_GO = second // 2
+"""How long (ns) the end of a run waits for the sender while that makes no progress."""
+AT_MOST = 30 * second
+"""How long (ns) it waits while the sender does."""
+ROOM = 0.0005
+"""How often (s) a run under the virtual clock looks whether there is room again."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is to become of a run's records: published with `publish` (None: not), recorded in `record` ("": not).
+
+    `size` is that of the buffer, in bytes. `commands` are what a viewer may ask for, by name, each called with a
+    text, in a thread; without any there is no control.
+    """
+
+    publish: Access | None = field(default_factory=Access)
+    record: str = ""
+    size: int = 8 << 20
+    commands: Mapping[str, Callable[[str], None]] = field(default_factory=dict)
+
+
+class Link:
+    """The connection of a run with its sender; `collector` is the instrument that writes to it."""
+
+    def __init__(self, about: Mapping[str, Any], place: Place, wishes: Wishes) -> None:
+        self._wishes, self._virtual = wishes, about["clock"] == "virtual"
+        self._fd = _shared_file(DATA + wishes.size)
+        self._ring = Ring(self._fd, wishes.size)
+        self.troubles: list[str] = []
+        self.closed = False
+        """Whether the sender has ended what it does, and the recording is complete."""
+        write = self._write_with_patience if self._virtual else self._ring.write
+        self.collector = Collector(write, about["state"], self.troubles)
+        self._process = self._start(about, place)
+        self._listener = threading.Thread(target=self._listen, name="telemetry", daemon=True)
+        self._listener.start()
+
+    def _start(self, about: Mapping[str, Any], place: Place) -> subprocess.Popen[bytes]:
+        wishes, now = self._wishes, RealClock.now()
+        times = {"epoch_ns": 0, "began_ns": 0} if self._virtual else {"epoch_ns": epoch(), "began_ns": now}
+        told = dict(about) | times | {"agent": place.agent, "run": place.run_id, "control": bool(wishes.commands)}
+        order = Order(
+            self._fd, wishes.size, tuple(place), told, wishes.publish, wishes.record, bool(wishes.commands),
+            list(wishes.commands),
+        )  # fmt: skip
+        process = subprocess.Popen(  # noqa: S603  # our own program
+            [sys.executable, "-m", "rtagent.telemetry.sender"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self._fd], bufsize=0,
+        )  # fmt: skip
+        data = msgspec.json.encode(order)
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(len(data).to_bytes(8, "little") + data)
+        return process
+
+    def _write_with_patience(self, message: bytes) -> bool:
+        """Write a message; under the virtual clock, where the world stands still meanwhile, wait for room."""
+        pause = threading.Event()
+        while not self._ring.write(message):
+            if self._process.poll() is not None or len(message) > self._wishes.size // 2:
+                return False
+            pause.wait(ROOM)
+        return True
+
+    def _listen(self) -> None:
+        """Take what the sender says, until it ends."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            said = json.loads(line)
+            if "trouble" in said:
+                self.troubles.append(said["trouble"])
+            elif "command" in said:
+                self._wishes.commands[said["command"]](said["text"])
+            elif "closed" in said:
+                self.closed = said["closed"]
+
+    def close(self, how: str) -> list[str]:
+        """Tell how the run ended, and let the sender finish; one that hangs is left behind.
+
+        Return, in sentences, what went wrong and was not told to the run.
+        """
+        self.collector.end(how)
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        end, left = RealClock.now() + AT_MOST, -1
+        while self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
+            left = self._ring.filled
+            self._listener.join(LETTING_GO / second)
+        self._process.returncode = 0  # it ends by itself, and is not waited for
+        if not self._listener.is_alive() and self._process.stdout is not None:
+            self._process.stdout.close()
+        os.close(self._fd)
+        if self._wishes.record and not self.closed and not self.troubles:
+            self.troubles.append(f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended.")
+        return self.troubles
+
+
+def time_of_day() -> str:
+    """Return when it is, as a name that sorts: in UTC, to the second."""
+    return datetime.fromtimestamp(RealClock.since_1970() / second, UTC).strftime("%Y%m%dT%H%M%S")
+
+
+def epoch() -> int:
+    """Return when, in ns since 1970, this machine's monotonic clock was 0."""
+    return RealClock.since_1970() - RealClock.now()
+
+
+def _shared_file(size: int) -> int:
+    """Return a file in memory that another process can share."""
+    if hasattr(os, "memfd_create"):
+        fd = os.memfd_create("rtagent-telemetry")
+    else:
+        fd, path = tempfile.mkstemp("rtagent-telemetry")
+        os.unlink(path)  # noqa: PTH108  # it has no name from here on
+    os.ftruncate(fd, size)
+    return fd

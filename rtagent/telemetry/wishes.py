@@ -1,0 +1,53 @@
+"""From a scenario to the telemetry of its run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from rtagent.latch import Latch
+from rtagent.scenario import Assembly, Scenario
+from rtagent.scenario.model import TelemetryTable
+from rtagent.telemetry.connection import Access
+from rtagent.telemetry.describing import about_run
+from rtagent.telemetry.keys import Place, as_chunk
+from rtagent.telemetry.link import Link, Wishes, time_of_day
+
+
+def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link | None:
+    """Return the telemetry of a run, or None where nothing is to be published or recorded."""
+    table = scenario.model.telemetry
+    published = scenario.model.run.clock == "real" if table.enabled is None else table.enabled
+    if not (published or record):
+        return None
+    wishes = Wishes(
+        access_of(table) if published else None,
+        os.path.abspath(record) if record else "",  # noqa: PTH100  # a path's resolve would follow links
+        table.buffer,
+        _commands(assembly, latch) if table.control else {},
+    )
+    return Link(about_run(scenario, assembly), Place(as_chunk(scenario.name), f"{time_of_day()}-{os.getpid()}"), wishes)
+
+
+def access_of(table: TelemetryTable) -> Access:
+    """Return where the telemetry of a scenario goes."""
+    return Access(**{name: getattr(table, name) for name in Access.__struct_fields__})
+
+
+def _commands(assembly: Assembly, latch: Latch) -> Mapping[str, Callable[[str], None]]:
+    """Return what a viewer may do to a run."""
+    return {
+        "stop": lambda text: latch.trip("telemetry", text or "a viewer asked for it"),
+        "annotate": lambda text: None,
+        "press": partial(_press, assembly),
+    }
+
+
+def _press(assembly: Assembly, text: str) -> None:
+    """Press a button of every device that has some."""
+    for device in assembly.devices.values():
+        press = getattr(device, "press", None)
+        if press is not None:
+            press(text)
+
