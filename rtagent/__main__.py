@@ -39,6 +39,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_list(commands)
     _add_stop(commands)
     _add_watch(commands)
+    _add_view(commands)
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
@@ -92,6 +93,15 @@ def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     watch.add_argument("--once", action="store_true", help="print what is known of each run once, and end")
     add_access(watch)
     watch.set_defaults(command=_watch)
+
+
+def _add_view(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    view = commands.add_parser("view", help="show what goes on in runs, on a page in the browser")
+    view.add_argument("run", nargs="?", default="*", metavar="AGENT", help="those of this agent only")
+    view.add_argument("--port", type=int, default=7480, metavar="N", help="serve it there (7480; 0: any)")
+    view.add_argument("--open", action="store_true", help="open it in the browser")
+    add_access(view)
+    view.set_defaults(command=_view)
 
 
 def add_access(parser: argparse.ArgumentParser) -> None:
@@ -193,6 +203,12 @@ def _watch(arguments: argparse.Namespace) -> int:
     from rtagent.commands.watch import watch_command
 
     return watch_command(arguments)
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.view import view_command
+
+    return view_command(arguments)
 
 
 def _rearm(arguments: argparse.Namespace) -> int:
