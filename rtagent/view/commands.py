@@ -38,5 +38,5 @@ def command(access: Access, run: str, name: str, text: str) -> str:
                 reply.err.payload.to_string() if reply.err is not None else "the run said nothing."
             )
     raise TelemetryError(
-        f"the run {run} does not answer: it has ended, or its scenario does not say control = true under [telemetry]."
+        f"the run {run} does not answer: it has ended, or its scenario has no control = true under [telemetry]."
     )

@@ -1,0 +1,160 @@
+// The plots over time: one for each unit of the chosen signals, one for each chosen demon, one of the components.
+
+import uPlot from "./uplot/uPlot.esm.js";
+
+const HEIGHT = 150;
+const GAP = 20; // px that stay free at the right, so that the newest value is seen
+const SHOWN = ["annotation", "stop", "press", "fault", "missed", "stimulus"]; // are lines in every plot
+
+export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+export function short(value) {
+  if (value == null || Number.isNaN(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size >= 1e5 || size < 1e-3)) return value.toExponential(2);
+  return String(Number(value.toPrecision(4)));
+}
+
+// Which plots there are to be, each with a title and its series.
+export function layout(about, chosen) {
+  const plots = new Map();
+  const add = (id, plot, series) => {
+    if (!plots.has(id)) plots.set(id, { id, series: [], ...plot });
+    plots.get(id).series.push(series);
+  };
+  for (const signal of about.signals) {
+    if (!chosen.has(signal.key)) continue;
+    const id = signal.unit ? `unit ${signal.unit}` : signal.key;
+    const label = signal.group === "agent" ? signal.column : `${signal.group}.${signal.column}`;
+    add(id, { title: signal.unit ? `Signals in ${signal.unit}` : label }, { key: signal.key, label, steps: signal.column === "action" });
+  }
+  (about.demons ?? []).forEach((demon, place) => {
+    const key = `prediction/${place}`;
+    if (!chosen.has(key)) return;
+    const plot = { title: demon.name, note: demon.known ? "prediction and return" : "prediction; its return is not known" };
+    add(key, plot, { key, label: "prediction" });
+    if (demon.known) add(key, plot, { key: `return/${place}`, label: "return", dash: [6, 4] });
+  });
+  for (const name of about.components) {
+    if (chosen.has(`components/${name}`)) {
+      add("components", { title: "Component times", note: "µs", log: true }, { key: `components/${name}`, label: name });
+    }
+  }
+  return [...plots.values()];
+}
+
+export class Plots {
+  constructor(place, { onZoom, view }) {
+    this.place = place;
+    this.onZoom = onZoom;
+    this.view = view;
+    this.plots = [];
+    this.happened = [];
+    new ResizeObserver(() => this.#resize()).observe(place);
+  }
+
+  get columns() {
+    const inner = Math.min(...this.plots.map(({ drawn }) => drawn.bbox.width / devicePixelRatio), 2000);
+    return Math.max(50, Math.round(Number.isFinite(inner) ? inner : 600));
+  }
+
+  get keys() { return this.plots.flatMap(({ plot }) => plot.series.map(({ key }) => key)); }
+
+  show(layouts) {
+    for (const { drawn, card } of this.plots) { drawn.destroy(); card.remove(); }
+    this.plots = layouts.map((plot) => this.#make(plot));
+  }
+
+  draw({ head, values }) {
+    const xs = new Float64Array(2 * head.columns);
+    for (let place = 0; place < xs.length; place++) xs[place] = head.first + head.width * (place / 2 + 0.25);
+    for (const { plot, drawn } of this.plots) {
+      drawn.setData([xs, ...plot.series.map(({ key }) => known(values.get(key), xs.length, plot.log))]);
+    }
+  }
+
+  #width() { return Math.max(200, this.place.clientWidth - 44); }
+
+  #resize() {
+    for (const { drawn } of this.plots) drawn.setSize({ width: this.#width(), height: HEIGHT });
+  }
+
+  #make(plot) {
+    const card = document.createElement("div");
+    card.className = "plot";
+    card.dataset.plot = plot.id;
+    card.tabIndex = 0;
+    card.setAttribute("role", "img");
+    card.setAttribute("aria-label", `${plot.title}: ${plot.series.map(({ label }) => label).join(", ")}`);
+    const title = document.createElement("h2");
+    title.append(plot.title);
+    if (plot.note) title.append(Object.assign(document.createElement("span"), { textContent: plot.note }));
+    card.append(title);
+    this.place.append(card);
+    return { plot, card, drawn: new uPlot(this.#options(plot), [[], ...plot.series.map(() => [])], card) };
+  }
+
+  #options(plot) {
+    const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
+    return {
+      width: this.#width(),
+      height: HEIGHT,
+      padding: [6, GAP, 0, 0],
+      legend: { live: true },
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 } },
+      scales: {
+        x: { time: false, range: () => { const { begin, end } = this.view(); return [begin, end]; } },
+        y: plot.log ? { distr: 3 } : {},
+      },
+      axes: [
+        { ...axis, size: 26, values: (_, ticks) => ticks.map((tick) => `${Number(tick.toPrecision(9))} s`) },
+        { ...axis, size: 56, values: (_, ticks) => ticks.map((tick) => (tick == null ? "" : short(tick))) },
+      ],
+      series: [
+        { label: "time", value: (_, value) => (value == null ? "" : `${value.toFixed(3)} s`) },
+        ...plot.series.map(({ label, dash }, place) => ({
+          label, dash, spanGaps: true, width: dash ? 1.5 : 1.25, points: { show: false },
+          stroke: colour(`--s${(place % 8) + 1}`), value: (_, value) => short(value),
+        })),
+      ],
+      hooks: { draw: [(drawn) => this.#lines(drawn)], setSelect: [(drawn) => this.#selected(drawn)] },
+    };
+  }
+
+  #lines(drawn) {
+    const { begin, end } = this.view();
+    const { ctx, bbox } = drawn;
+    ctx.save();
+    for (const { time, kind } of this.happened) {
+      if (time < begin || time > end || !SHOWN.includes(kind)) continue;
+      const name = kind === "annotation" ? "--accent" : kind === "stimulus" ? "--warn" : "--bad";
+      ctx.strokeStyle = colour(name);
+      ctx.globalAlpha = kind === "stimulus" ? 0.55 : 0.9;
+      ctx.lineWidth = devicePixelRatio * (kind === "stimulus" ? 1 : 2);
+      const x = drawn.valToPos(time, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  #selected(drawn) {
+    const { left, width } = drawn.select;
+    if (width < 4) return;
+    this.onZoom(drawn.posToVal(left, "x"), drawn.posToVal(left + width, "x"));
+    drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+  }
+}
+
+// uPlot knows a missing value as null, and a logarithm none of what is not positive.
+function known(values, length, log) {
+  const out = new Array(length).fill(null);
+  if (values === undefined || values.length !== length) return out;
+  for (let place = 0; place < length; place++) {
+    const value = values[place];
+    if (value === value && !(log && value <= 0)) out[place] = value;
+  }
+  return out;
+}
