@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_stop(commands)
     _add_watch(commands)
     _add_view(commands)
+    _add_recordings(commands)
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
@@ -102,6 +103,22 @@ def _add_view(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     view.add_argument("--open", action="store_true", help="open it in the browser")
     add_access(view)
     view.set_defaults(command=_view)
+
+
+def _add_recordings(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    info = commands.add_parser("info", help="say what is in a recording")
+    info.add_argument("recording", help="what `rtagent run --record` has written")
+    info.add_argument("--json", action="store_true", help="print JSON instead")
+    info.set_defaults(command=_info)
+    export = commands.add_parser("export", help="write a recording as tables")
+    export.add_argument("recording")
+    export.add_argument("--to", choices=("csv", "npz"), required=True, help="a folder of CSV files, or arrays")
+    export.add_argument("--out", metavar="PATH", help="the folder or file, in place of the recording's own name")
+    export.set_defaults(command=_export)
+    recover = commands.add_parser("recover", help="save what can be read of a recording that was cut off")
+    recover.add_argument("recording")
+    recover.add_argument("--to", metavar="FILE", help="where to, in place of NAME.recovered.mcap")
+    recover.set_defaults(command=_recover)
 
 
 def add_access(parser: argparse.ArgumentParser) -> None:
@@ -209,6 +226,24 @@ def _view(arguments: argparse.Namespace) -> int:
     from rtagent.commands.view import view_command
 
     return view_command(arguments)
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import info_command
+
+    return info_command(arguments)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import export_command
+
+    return export_command(arguments)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import recover_command
+
+    return recover_command(arguments)
 
 
 def _rearm(arguments: argparse.Namespace) -> int:

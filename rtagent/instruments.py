@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtagent.experience import Command, Observation, Stimulus, Transition
 from rtagent.reaction import Reaction
 from rtagent.recorder import EpisodeRecord
 from rtagent.schedule import Component
-
-if TYPE_CHECKING:
-    from rtagent.agent import Agent
 
 log = logging.getLogger("rtagent")
 
@@ -27,13 +24,13 @@ class Instrument:
     def run_began(self, report: Callable[[str, str], None]) -> None:
         """A run began; `report(source, message)` tells it of a fault that does not end it, on its event loop."""
 
-    def trial_began(self, trial: int, agent: Agent) -> None:
-        """A trial began, with this agent."""
+    def trial_began(self, trial: int, agent: Any) -> None:
+        """A trial began, with this `rtagent.Agent`."""
 
     def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         """A cycle was over: all its calls at once, as names of hooks with their arguments, before they are made.
 
-        For an instrument that has no time for a call each. The list is used again: it is not to be kept.
+        For an instrument that has no time for a call each. The list may be kept, but not changed.
         """
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
@@ -80,6 +77,7 @@ class Hooks:
         }
         heard = {name for name, calls in self._calls.items() if calls}
         self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
+        self._heard_singly = not heard.isdisjoint(NOTED)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
 
@@ -89,12 +87,12 @@ class Hooks:
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
+        noted, self.noted = self.noted, []
         if self._calls["noted"]:
-            self.call("noted", self.noted)
-        for name, args in self.noted:
-            if self._calls[name]:
+            self.call("noted", noted)
+        if self._heard_singly:
+            for name, args in noted:
                 self.call(name, *args)
-        self.noted.clear()
 
     def call(self, name: str, *args: Any) -> None:
         """Call the hook `name` of every instrument, now."""

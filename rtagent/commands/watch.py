@@ -77,7 +77,5 @@ def _table(agent: str, run: str, watched: Watched, now: float) -> Table:
     for name in ("stream", "a second", "all", "missed", "newest"):
         table.add_column(name, justify="right" if name not in ("stream", "newest") else "left", no_wrap=True)
     for row in watched.rows(now):
-        table.add_row(row.stream, f"{row.rate:,.0f}", f"{row.count:,}", f"{row.missed:,}", Text(row.newest))
+        table.add_row(row.stream, f"{row.rate:,.0f}", f"{row.records:,}", f"{row.missed:,}", Text(row.newest))
     return table
-
-

@@ -161,7 +161,7 @@ class TelemetryTable(Table):
     endpoint: str = Field("tcp/127.0.0.1:7447", description="the router; one of this machine is started if need be")
     listen: tuple[str, ...] = Field((), description="where a router that is started listens too")
     control: bool = Field(False, description="whether those who watch may stop it, annotate it and press buttons")
-    buffer: int = Field(8 << 20, ge=1 << 16, description="so many bytes may wait to be sent")
+    buffer: int = Field(5000, ge=1, description="so many cycles may wait to be sent")
     user: str = Field("", description="as whom to connect")
     password_file: str = Field("", description="a file with the user's password")
     ca: str = Field("", description="the certificate of the authority that signed the router's (PEM)")
@@ -174,7 +174,9 @@ class TelemetryTable(Table):
     def _endpoints(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
         for endpoint in (given,) if isinstance(given, str) else given:
             if not re.fullmatch(r"(tcp|tls|quic)/[^/]+:\d+([?#].*)?", endpoint):
-                raise ValueError(f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447 or tls/0.0.0.0:7448")
+                raise ValueError(
+                    f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447 or tls/0.0.0.0:7448"
+                )
         return given
 
     @model_validator(mode="after")
@@ -183,10 +185,12 @@ class TelemetryTable(Table):
         listening = [each for each in open_to_others if each in self.listen]
         if listening and not (self.users and self.certificate and self.key):
             raise ValueError(
-                f"{listening[0]} is open to other machines: give users, certificate and key, and tls/ as its protocol"
+                f"{listening[0]} is open to other machines: give users, certificate and key, and write tls/"
             )
         if plain := [each for each in open_to_others if each.startswith("tcp/")]:
-            raise ValueError(f"{plain[0]} would send everything in the clear to other machines: write tls/ or quic/")
+            raise ValueError(
+                f"{plain[0]} would send everything in the clear to other machines: write tls/ or quic/"
+            )
         return self
 
 

@@ -15,7 +15,7 @@ import msgspec
 from rtagent.errors import RtagentError
 
 if TYPE_CHECKING:
-    import zenoh
+    from zenoh import Config, Session
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
@@ -57,7 +57,7 @@ def zenoh_module() -> Any:
     return zenoh
 
 
-def open_client(access: Access, *, start_router: bool = True) -> zenoh.Session:
+def open_client(access: Access, *, start_router: bool = True) -> Session:
     """Return a session; a local router that is missing is started. Raises `TelemetryError`."""
     zenoh = zenoh_module()
     if access.is_local and start_router and not _listens(access.endpoint):
@@ -69,12 +69,13 @@ def open_client(access: Access, *, start_router: bool = True) -> zenoh.Session:
         "connect/exit_on_failure": True,
     }
     try:
-        return zenoh.open(config(settings))
+        session: Session = zenoh.open(config(settings))
     except zenoh.ZError as error:
         raise TelemetryError(
             f"nothing could be reached at {access.endpoint}: {_first_line(error)}. "
             "See that a router listens there, and that user, password and certificates are right."
         ) from None
+    return session
 
 
 def router_settings(access: Access) -> Mapping[str, Any]:
@@ -89,9 +90,9 @@ def router_settings(access: Access) -> Mapping[str, Any]:
     return settings
 
 
-def config(settings: Mapping[str, Any]) -> zenoh.Config:
+def config(settings: Mapping[str, Any]) -> Config:
     """Return Zenoh's configuration; keys are paths into it."""
-    made = zenoh_module().Config()
+    made: Config = zenoh_module().Config()
     for key, value in settings.items():
         made.insert_json5(key, json.dumps(value))
     return made

@@ -8,7 +8,6 @@ import os
 import platform
 from typing import Any
 
-
 from rtagent.learning import Horde
 from rtagent.learning.cumulants import Signal as SignalCumulant
 from rtagent.learning.cumulants import Within
@@ -71,13 +70,13 @@ def about_demons(horde: Horde, places: list[int], state: list[str]) -> list[Demo
 
 def _about(demon: Demon, state: list[str]) -> DemonAbout:
     cumulant, gamma = demon.cumulant, demon.continuation.gamma
-    known = isinstance(cumulant, SignalCumulant | Within)
-    within = isinstance(cumulant, Within)
+    signal = state[cumulant.place] if isinstance(cumulant, SignalCumulant | Within) else ""
+    low, high = (cumulant.low, cumulant.high) if isinstance(cumulant, Within) else (math.inf, math.inf)
     return DemonAbout(
         demon.name,
-        state[cumulant.place] if known else "",
-        _finite(cumulant.low) if within else None,
-        _finite(cumulant.high) if within else None,
+        signal,
+        _finite(low),
+        _finite(high),
         float(gamma) if isinstance(gamma, int | float) else None,
         demon.continuation.per,
         demon.normalised,

@@ -1,4 +1,4 @@
-"""A run's end of telemetry: it starts the sender, gives the loop what writes to it, and lets go of it in the end."""
+"""A run's end of telemetry: starts the sender, gives the loop what writes to it, lets go of it in the end."""
 
 from __future__ import annotations
 
@@ -19,15 +19,20 @@ import msgspec
 from rtagent.clock import RealClock
 from rtagent.telemetry.collect import Collector
 from rtagent.telemetry.connection import Access
+from rtagent.telemetry.feeding import Feeder
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.ring import DATA, Ring
 from rtagent.telemetry.sender import Order
 from rtagent.units import second
 
+RING = 8 << 20
+"""How many bytes there are between the run and its sender."""
 LETTING_GO = second // 2
 """How long (ns) the end of a run waits for the sender while that makes no progress."""
 AT_MOST = 30 * second
 """How long (ns) it waits while the sender does."""
+GONE = 0.2
+"""How long (s) it may take to be gone, once it has said its last."""
 ROOM = 0.0005
 """How often (s) a run under the virtual clock looks whether there is room again."""
 
@@ -36,13 +41,13 @@ ROOM = 0.0005
 class Wishes:
     """What is to become of a run's records: published with `publish` (None: not), recorded in `record` ("": not).
 
-    `size` is that of the buffer, in bytes. `commands` are what a viewer may ask for, by name, each called with a
+    `buffer` is how many cycles may wait. `commands` are what a viewer may ask for, by name, each called with a
     text, in a thread; without any there is no control.
     """
 
     publish: Access | None = field(default_factory=Access)
     record: str = ""
-    size: int = 8 << 20
+    buffer: int = 5000
     commands: Mapping[str, Callable[[str], None]] = field(default_factory=dict)
 
 
@@ -51,26 +56,27 @@ class Link:
 
     def __init__(self, about: Mapping[str, Any], place: Place, wishes: Wishes) -> None:
         self._wishes, self._virtual = wishes, about["clock"] == "virtual"
-        self._fd = _shared_file(DATA + wishes.size)
-        self._ring = Ring(self._fd, wishes.size)
-        self.troubles: list[str] = []
+        self._fd = _shared_file(DATA + RING)
+        self._ring = Ring(self._fd, RING)
         self.closed = False
         """Whether the sender has ended what it does, and the recording is complete."""
-        write = self._write_with_patience if self._virtual else self._ring.write
-        self.collector = Collector(write, about["state"], self.troubles)
+        self.collector = Collector(about["state"], wishes.buffer, self._make_room if self._virtual else None)
+        self._feeder = Feeder(self.collector.buffer, self._ring)
         self._process = self._start(about, place)
         self._listener = threading.Thread(target=self._listen, name="telemetry", daemon=True)
         self._listener.start()
+        if not self._virtual:
+            self._feeder.start()
 
     def _start(self, about: Mapping[str, Any], place: Place) -> subprocess.Popen[bytes]:
         wishes, now = self._wishes, RealClock.now()
         times = {"epoch_ns": 0, "began_ns": 0} if self._virtual else {"epoch_ns": epoch(), "began_ns": now}
         told = dict(about) | times | {"agent": place.agent, "run": place.run_id, "control": bool(wishes.commands)}
         order = Order(
-            self._fd, wishes.size, tuple(place), told, wishes.publish, wishes.record, bool(wishes.commands),
+            self._fd, RING, (place.agent, place.run_id), told, wishes.publish, wishes.record, bool(wishes.commands),
             list(wishes.commands),
         )  # fmt: skip
-        process = subprocess.Popen(  # noqa: S603  # our own program
+        process = subprocess.Popen(  # our own program
             [sys.executable, "-m", "rtagent.telemetry.sender"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=[self._fd], bufsize=0,
         )  # fmt: skip
@@ -80,14 +86,12 @@ class Link:
             process.stdin.write(len(data).to_bytes(8, "little") + data)
         return process
 
-    def _write_with_patience(self, message: bytes) -> bool:
-        """Write a message; under the virtual clock, where the world stands still meanwhile, wait for room."""
+    def _make_room(self) -> None:
+        """Hand on what was appended, at once; the world of the virtual clock stands still meanwhile."""
         pause = threading.Event()
-        while not self._ring.write(message):
-            if self._process.poll() is not None or len(message) > self._wishes.size // 2:
-                return False
-            pause.wait(ROOM)
-        return True
+        while self.collector.buffer and self._process.poll() is None:
+            if not self._feeder.feed():
+                pause.wait(ROOM)
 
     def _listen(self) -> None:
         """Take what the sender says, until it ends."""
@@ -95,7 +99,7 @@ class Link:
         for line in self._process.stdout:
             said = json.loads(line)
             if "trouble" in said:
-                self.troubles.append(said["trouble"])
+                self.collector.troubles.append(said["trouble"])
             elif "command" in said:
                 self._wishes.commands[said["command"]](said["text"])
             elif "closed" in said:
@@ -107,19 +111,29 @@ class Link:
         Return, in sentences, what went wrong and was not told to the run.
         """
         self.collector.end(how)
+        if not self._virtual:
+            self._feeder.close(LETTING_GO / second)
         assert self._process.stdin is not None
         self._process.stdin.close()
         end, left = RealClock.now() + AT_MOST, -1
         while self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
             left = self._ring.filled
             self._listener.join(LETTING_GO / second)
-        self._process.returncode = 0  # it ends by itself, and is not waited for
+        self._let_go()
+        if self._wishes.record and not self.closed and not self.collector.troubles:
+            self.collector.troubles.append(
+                f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended."
+            )
+        return list(self.collector.troubles)
+
+    def _let_go(self) -> None:
+        """See the sender's process off; one that still writes ends by itself, and is not waited for."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE if not self._listener.is_alive() else 0)
+        self._process.returncode = 0
         if not self._listener.is_alive() and self._process.stdout is not None:
             self._process.stdout.close()
         os.close(self._fd)
-        if self._wishes.record and not self.closed and not self.troubles:
-            self.troubles.append(f"{self._wishes.record} is not complete yet: its recorder writes on, or has ended.")
-        return self.troubles
 
 
 def time_of_day() -> str:

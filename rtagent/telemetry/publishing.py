@@ -1,4 +1,4 @@
-"""The records of a run on Zenoh: published, kept for late joiners, described by schemas, and the keys of control."""
+"""A run on Zenoh: its records, the newest of them for late joiners, their schemas, and the keys of control."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ class Publisher:
     `trouble` is told, once, why there is no session.
     """
 
-    def __init__(self, access: Access, place: Place, control: Control | None, trouble: Callable[[str], None]) -> None:
+    def __init__(
+        self, access: Access, place: Place, control: Control | None, trouble: Callable[[str], None]
+    ) -> None:
         self._access, self._place, self._control, self._trouble = access, place, control, trouble
         self._newest: dict[str, bytes] = {}
         self._publishers: dict[str, Any] = {}
         self._session: Any = None
+        self._token: Any = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="zenoh", daemon=True)
 
@@ -74,7 +77,7 @@ class Publisher:
 
     def _declare(self, session: Any) -> None:
         zenoh, place = zenoh_module(), self._place
-        session.liveliness().declare_token(place.run)
+        self._token = session.liveliness().declare_token(place.run)  # ends where nobody holds it
         session.declare_queryable(place.key("*"), self._answer_newest)
         session.declare_queryable(place.schema("*"), self._answer_schemas)
         if self._control is not None:
@@ -87,6 +90,8 @@ class Publisher:
             )
             for stream in STREAMS
         }
+        if "run" in self._newest:  # those who watched before the run began have not heard of it
+            self._publishers["run"].put(self._newest["run"])
 
     def _answer_newest(self, query: Any) -> None:
         encoding = zenoh_module().Encoding.APPLICATION_JSON
@@ -109,4 +114,3 @@ class Publisher:
             query.reply(self._place.control(command), self._control(command, text))  # type: ignore[misc]  # declared
         except TelemetryError as error:
             query.reply_err(str(error))
-

@@ -28,14 +28,15 @@ class McapFile:
         from mcap.writer import Writer
 
         self._file = file
-        self._writer = Writer(file, chunk_size=4 << 20)
+        self._writer: Any = Writer(file, chunk_size=4 << 20)
         self._writer.start(profile="rtagent", library="rtagent")
         self._channels = {stream: self._register(stream, data) for stream, data in schemas()}
         self._safe = 0
 
     def _register(self, stream: str, data: bytes) -> int:
         number = self._writer.register_schema(schema_name(stream), "jsonschema", data)
-        return self._writer.register_channel(stream, "json", number)
+        channel: int = self._writer.register_channel(stream, "json", number)
+        return channel
 
     def add(self, stream: str, sequence: int, time: int, data: bytes) -> None:
         """Add a record; `time` is since 1970, in ns."""
@@ -43,7 +44,7 @@ class McapFile:
 
     def close_chunk(self) -> None:
         """End the chunk, and give all to the system."""
-        self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]  # the library closes them by size alone
+        self._writer._Writer__finalize_chunk()  # the library closes them by size alone
         self._file.flush()
         self._safe = self._file.tell()
 
@@ -122,7 +123,7 @@ class Recorder:
 
     def _write_chunks(self, file: McapFile) -> None:
         """Write until the end of the queue."""
-        chunk_ends = RealClock.now() + CLOSE_CHUNK_EVERY
+        chunk_ends = RealClock.now()  # the first tells of the run, and what every other is to be read by
         while True:
             entry = self._next(chunk_ends)
             if entry is None:
@@ -141,4 +142,3 @@ class Recorder:
             return self._queue.get(timeout=max(0, until - RealClock.now()) / second)
         except queue.Empty:
             return ()
-

@@ -1,7 +1,7 @@
 """The records of a run, one kind for each stream; JSON by their types, and the schemas of it.
 
-Every record has `sequence`, which counts those of its stream from 0 without a gap, and `time_ns`, when it was so, on
-the clock of the run (monotonic, or virtual). `Run.epoch_ns` plus `time_ns` is the time since 1970.
+Every record has `sequence`, which counts those of its stream from 0 without a gap, and `time_ns`, when it was so,
+on the clock of the run (monotonic, or virtual). `Run.epoch_ns` plus `time_ns` is the time since 1970.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class DeviceSignals(msgspec.Struct, frozen=True):
 
 
 class DemonAbout(msgspec.Struct, frozen=True):
-    """What a demon predicts: the discounted sum of `signal`, or where it has `low` and `high` how often it is within.
+    """What a demon predicts: the discounted sum of `signal`, or, with `low` and `high`, how often it is within.
 
-    `signal` is "" for a cumulant that is a function, `gamma` None where it depends on the state; it is for each step,
-    or each second (`per`). `normalised`: (1 - gamma) times the sum is predicted.
+    `signal` is "" for a cumulant that is a function, `gamma` None where it depends on the state; it is for each
+    step, or each second (`per`). `normalised`: (1 - gamma) times the sum is predicted.
     """
 
     name: str
@@ -57,9 +57,11 @@ class DemonAbout(msgspec.Struct, frozen=True):
     normalised: bool
 
 
-class Run(Record):
-    """A run: all that does not change in it. The newest record counts: `demons` come with the first trial, `ended`
-    says how it ended ("": it goes on)."""
+class Run(Record, kw_only=True, frozen=True):
+    """A run as a whole. The newest record counts: `demons` are known with the first trial.
+
+    `ended` says how it ended ("": it goes on).
+    """
 
     agent: str
     run: str
@@ -77,7 +79,7 @@ class Run(Record):
     ended: str = ""
 
 
-class Sample(Record):
+class Sample(Record, kw_only=True, frozen=True):
     """What came of a device: its values, when the world was so, when they arrived, and the device's own number."""
 
     device: str
@@ -88,14 +90,14 @@ class Sample(Record):
     time_source: str
 
 
-class Observation(Record):
+class Observation(Record, kw_only=True, frozen=True):
     """What the agent observed: the newest sample of each device, by its number, and the devices that are stale."""
 
     samples: dict[str, int]
     stale: list[str]
 
 
-class Action(Record):
+class Action(Record, kw_only=True, frozen=True):
     """An action that was taken: with which probability it was chosen, when, and what the devices really took.
 
     `time_ns` is when act ended. `chosen_ns` is None for one that was taken again without a choice.
@@ -109,7 +111,7 @@ class Action(Record):
     sent: dict[str, dict[str, SignalValue]]
 
 
-class Transition(Record):
+class Transition(Record, kw_only=True, frozen=True):
     """A transition that was learned, at `time_ns`; `delta` is the learner's error.
 
     What is not finite is None.
@@ -128,7 +130,7 @@ class Transition(Record):
     delta: float | None
 
 
-class Prediction(Record):
+class Prediction(Record, kw_only=True, frozen=True):
     """The predictions of all demons, in the order of `Run.demons`, about the next state of a learned transition.
 
     `about_ns` is when that state was observed; what is not finite is None.
@@ -138,7 +140,7 @@ class Prediction(Record):
     values: list[float | None]
 
 
-class Components(Record):
+class Components(Record, kw_only=True, frozen=True):
     """How long each component ran, in ns, since the record before: None where it did not."""
 
     act: int | None = None
@@ -147,7 +149,7 @@ class Components(Record):
     learn: int | None = None
 
 
-class Reaction(Record):
+class Reaction(Record, kw_only=True, frozen=True):
     """A stimulus got its first reaction: the three parts of the reaction time, and their sum, in ns."""
 
     kind: str
@@ -158,7 +160,7 @@ class Reaction(Record):
     reaction: int
 
 
-class Stimulus(Record):
+class Stimulus(Record, kw_only=True, frozen=True):
     """A stimulus, when an observation first contained it; `happened_ns` is its true time."""
 
     kind: str
@@ -166,7 +168,7 @@ class Stimulus(Record):
     time_source: str
 
 
-class Event(Record):
+class Event(Record, kw_only=True, frozen=True):
     """Something to remember: an annotation of a person's, an episode that began, a command that was given.
 
     `name` is annotation, episode, stop, press or recording.
@@ -176,25 +178,25 @@ class Event(Record):
     text: str
 
 
-class Fault(Record):
+class Fault(Record, kw_only=True, frozen=True):
     """Something failed: where, and what, in a sentence."""
 
     source: str
     message: str
 
 
-class Counters(Record):
+class Counters(Record, kw_only=True, frozen=True):
     """What was counted so far, once a second.
 
     `lost.STREAM` records of a stream found the buffer full: their sequence numbers are missing, everywhere.
-    `not_recorded` are missing in the recording alone, as after a full disk. `buffered` is how full (bytes) the buffer
-    was.
+    `not_recorded` are missing in the recording alone, as after a full disk. `buffered` is how many bytes were
+    waiting to be sent.
     """
 
     values: dict[str, int]
 
 
-class Episode(Record):
+class Episode(Record, kw_only=True, frozen=True):
     """An episode that ended."""
 
     trial: int
@@ -238,9 +240,9 @@ def schema_name(stream: str) -> str:
 
 def schema(stream: str) -> dict[str, Any]:
     """Return the JSON schema of a stream's messages, self-contained, with an object at its root."""
-    made = msgspec.json.schema(STREAMS[stream])
+    made: dict[str, Any] = msgspec.json.schema(STREAMS[stream])
     definitions = made.pop("$defs")
-    root = definitions.pop(made["$ref"].rsplit("/", 1)[1])
+    root: dict[str, Any] = definitions.pop(made["$ref"].rsplit("/", 1)[1])
     return root | ({"$defs": definitions} if definitions else {})
 
 

@@ -1,4 +1,4 @@
-"""The sender: a process of its own that makes records of what the loop wrote, encodes them once, and hands the bytes on.
+"""The sender: a process that makes records of what the loop wrote, encodes them once, and hands the bytes on.
 
 It outlives a run that is killed, for as long as it takes to send and record what the run had written.
 """
@@ -81,7 +81,9 @@ class Sender:
     def _open_publisher(self, order: Order) -> Publisher | None:
         if order.publish is None:
             return None
-        publisher = Publisher(order.publish, Place(*order.place), self._command if order.control else None, _trouble)
+        publisher = Publisher(
+            order.publish, Place(*order.place), self._command if order.control else None, _trouble
+        )
         publisher.start()
         return publisher
 

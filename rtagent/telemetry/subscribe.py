@@ -1,13 +1,13 @@
 """Records of runs as they come: an async iterator over typed records.
 
-    async for message in subscribe(streams=("sample", "reaction")):
-        print(message.agent, message.record)
+async for message in subscribe(streams=("sample", "reaction")):
+    print(message.agent, message.record)
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncGenerator, Collection
 from typing import Any, NamedTuple
 
 import msgspec
@@ -17,6 +17,7 @@ from rtagent.telemetry.keys import DATA, place_of
 from rtagent.telemetry.records import STREAMS, Record
 
 DECODERS = {stream: msgspec.json.Decoder(kind) for stream, kind in STREAMS.items()}
+LOCAL = Access()
 MOST_WAITING = 100_000
 """So many messages wait for a reader that is slower; of others the newest are dropped."""
 
@@ -51,8 +52,8 @@ class Reader:
 
 
 async def subscribe(
-    agent: str = "*", run: str = "*", streams: Collection[str] = tuple(STREAMS), *, access: Access = Access()
-) -> AsyncIterator[Message]:
+    agent: str = "*", run: str = "*", streams: Collection[str] = tuple(STREAMS), *, access: Access = LOCAL
+) -> AsyncGenerator[Message]:
     """Yield the records of these runs as they come, the newest of each stream first.
 
     `agent` and `run` are names, or "*" for all. Raises `TelemetryError` where there is no connection.

@@ -34,6 +34,7 @@ class Unpacker:
         self._next: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
         self._last_sample: dict[str, tuple[int, int]] = {}
+        self._about = self._learned_at = 0
         self._chosen: tuple[float, int | None] = (1.0, None)
         self.time = 0
         """The time of the newest record, in ns."""
@@ -48,7 +49,7 @@ class Unpacker:
 
     def __call__(self, message: bytes) -> Iterator[Record]:
         """Yield the records of a message."""
-        lost, calls = unpack(message)
+        lost, calls, newest = unpack(message)
         if lost is not None:
             self._skip(*lost)
         components: dict[str, int] = {}
@@ -59,6 +60,11 @@ class Unpacker:
                 last = end
             else:
                 yield from getattr(self, f"_{name}")(*args)
+        if newest is not None:
+            values = np.frombuffer(newest, self._precision)[self._order]
+            yield self.make(
+                records.Prediction, self._learned_at, about_ns=self._about, values=_finite(values.tolist())
+            )
         if components:
             yield self.make(records.Components, last, **components)
 
@@ -72,8 +78,8 @@ class Unpacker:
         self._next += lost
 
     def _trial_began(self, trial: int, about: Any, places: Sequence[int], precision: str) -> Iterator[Record]:
-        self.demons = [records.DemonAbout(*each) for each in about]
         self._order, self._precision = np.argsort(places), precision
+        self.demons = [records.DemonAbout(*about[number]) for number in self._order]
         self.run_changed = True
         return iter(())
 
@@ -112,15 +118,13 @@ class Unpacker:
         )  # fmt: skip
 
     def _learned(self, *args: Any) -> Iterator[Record]:
-        *step, state, next_state, complete_at, delta, time, newest = args
+        *step, state, next_state, complete_at, delta, time = args
+        self._about, self._learned_at = complete_at, time
         names = ("action", "next_action", "probability", "reward", "elapsed_ns", "terminated", "truncated")
         yield self.make(
             records.Transition, time, **dict(zip(names, step, strict=True)),
             state=_finite(state), next_state=_finite(next_state), complete_at_ns=complete_at, delta=delta,
         )  # fmt: skip
-        if newest is not None:
-            values = np.frombuffer(newest, self._precision)[self._order]
-            yield self.make(records.Prediction, time, about_ns=complete_at, values=_finite(values.tolist()))
 
     def _reacted(self, reaction: Any) -> Iterator[Record]:
         happened, kind, _ = reaction["stimulus"]

@@ -20,7 +20,7 @@ class Row(NamedTuple):
 
     stream: str
     rate: float
-    count: int
+    records: int
     missed: int
     newest: str
 
@@ -76,7 +76,9 @@ def _number(value: Any) -> str:
 
 
 def _listed(values: Any) -> str:
-    return " ".join("none" if value is None else f"{value:.3g}" for value in values[:12]) + " …" * (len(values) > 12)
+    return " ".join("none" if value is None else f"{value:.3g}" for value in values[:12]) + " …" * (
+        len(values) > 12
+    )
 
 
 def _components(record: Any) -> str:

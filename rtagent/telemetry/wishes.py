@@ -27,7 +27,9 @@ def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record:
         table.buffer,
         _commands(assembly, latch) if table.control else {},
     )
-    return Link(about_run(scenario, assembly), Place(as_chunk(scenario.name), f"{time_of_day()}-{os.getpid()}"), wishes)
+    return Link(
+        about_run(scenario, assembly), Place(as_chunk(scenario.name), f"{time_of_day()}-{os.getpid()}"), wishes
+    )
 
 
 def access_of(table: TelemetryTable) -> Access:
@@ -50,4 +52,3 @@ def _press(assembly: Assembly, text: str) -> None:
         press = getattr(device, "press", None)
         if press is not None:
             press(text)
-

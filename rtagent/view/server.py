@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from rtagent.errors import RtagentError
-from rtagent.view.commands import Ask, command
+from rtagent.view.commands import Ask
 from rtagent.view.frames import Frames, Wish
 from rtagent.view.runs import Runs
 
@@ -151,5 +151,3 @@ def _page_files() -> list[tuple[str, bytes]]:
         if each.is_file()
     ]
 
-
-__all__ = ["Page", "command", "refusal"]

@@ -22,7 +22,7 @@ export class Histogram {
   #options() {
     const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     return {
-      width: this.place.clientWidth, height: HEIGHT, padding: [6, 14, 0, 0],
+      width: this.place.clientWidth, height: HEIGHT, padding: [6, 20, 0, 0],
       legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, distr: 3 }, y: { range: (_, low, high) => [0, Math.max(1, high)] } },
       axes: [
@@ -78,7 +78,7 @@ export function showHappened(happened, counted) {
   const items = happened.slice(-LISTED).reverse().map(({ time, kind, text }) => {
     const item = document.createElement("li");
     item.append(
-      Object.assign(document.createElement("time"), { textContent: `${time.toFixed(2)} s` }),
+      Object.assign(document.createElement("time"), { textContent: time.toFixed(2) }),
       Object.assign(document.createElement("span"), { textContent: kind, className: `kind ${kind}` }),
       Object.assign(document.createElement("span"), { textContent: text }),
     );

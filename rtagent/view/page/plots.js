@@ -2,8 +2,9 @@
 
 import uPlot from "./uplot/uPlot.esm.js";
 
-const HEIGHT = 150;
-const GAP = 20; // px that stay free at the right, so that the newest value is seen
+const HEIGHT = 132;
+const GAP = 20; // px at the right, for half of the last label
+const BESIDE = 22; // px that a card is wider than its plot
 const SHOWN = ["annotation", "stop", "press", "fault", "missed", "stimulus"]; // are lines in every plot
 
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -54,8 +55,8 @@ export class Plots {
   }
 
   get columns() {
-    const inner = Math.min(...this.plots.map(({ drawn }) => drawn.bbox.width / devicePixelRatio), 2000);
-    return Math.max(50, Math.round(Number.isFinite(inner) ? inner : 600));
+    const inner = Math.min(2000, Math.max(...this.plots.map(({ drawn }) => drawn.bbox.width / devicePixelRatio)));
+    return Math.max(50, Math.round(inner));
   }
 
   get keys() { return this.plots.flatMap(({ plot }) => plot.series.map(({ key }) => key)); }
@@ -73,10 +74,8 @@ export class Plots {
     }
   }
 
-  #width() { return Math.max(200, this.place.clientWidth - 44); }
-
   #resize() {
-    for (const { drawn } of this.plots) drawn.setSize({ width: this.#width(), height: HEIGHT });
+    for (const { drawn, card } of this.plots) drawn.setSize({ width: width(card), height: HEIGHT });
   }
 
   #make(plot) {
@@ -91,13 +90,13 @@ export class Plots {
     if (plot.note) title.append(Object.assign(document.createElement("span"), { textContent: plot.note }));
     card.append(title);
     this.place.append(card);
-    return { plot, card, drawn: new uPlot(this.#options(plot), [[], ...plot.series.map(() => [])], card) };
+    return { plot, card, drawn: new uPlot(this.#options(plot, width(card)), [[], ...plot.series.map(() => [])], card) };
   }
 
-  #options(plot) {
+  #options(plot, width) {
     const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     return {
-      width: this.#width(),
+      width,
       height: HEIGHT,
       padding: [6, GAP, 0, 0],
       legend: { live: true },
@@ -147,6 +146,8 @@ export class Plots {
     drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
   }
 }
+
+const width = (card) => Math.max(200, card.clientWidth - BESIDE);
 
 // uPlot knows a missing value as null, and a logarithm none of what is not positive.
 function known(values, length, log) {
