@@ -29,8 +29,12 @@ class Runs:
                 run = self.seen.get(name) or self._new(name)
                 run.heard = asyncio.get_running_loop().time()
                 run.take(message)
-                for news in self._news:
-                    news.set()
+                self.tell_news()
+
+    def tell_news(self) -> None:
+        """Let everybody who waits for news have a look."""
+        for news in self._news:
+            news.set()
 
     @contextlib.contextmanager
     def news(self) -> Iterator[asyncio.Event]:

@@ -9,11 +9,14 @@ from typing import Any, NamedTuple
 from rtagent.telemetry import records
 from rtagent.telemetry.subscribe import Message
 from rtagent.telemetry.watching import Watched
+from rtagent.units import second
 from rtagent.view.history import History
 from rtagent.view.reactions import Reactions
 from rtagent.view.returns import ELAPSED, TERMINATED, TRUNCATED
 
 MOST_HAPPENINGS = 1000
+OF_THE_SENDER = ("run", "event", "counters")
+"""Streams whose times are not those of the loop: a sender that is behind tells them first."""
 COMPONENTS = ("act", "observe", "choose", "learn")
 STEP = ("reward", "delta")
 """What of a transition is shown as a signal."""
@@ -50,7 +53,8 @@ class SeenRun:
         self.about = 0
         """Counts how often what is told of the run as a whole has changed."""
         self.newest = 0
-        """The time of the newest record, in ns."""
+        """The time of the newest record of the loop, in ns."""
+        self._missed_at = -second
         self.heard = 0.0
         """When something came of it last, in s of the loop."""
 
@@ -67,10 +71,10 @@ class SeenRun:
     def take(self, message: Message) -> None:
         """Keep a record."""
         self.watched.take(message)
-        self.newest = max(self.newest, message.record.time_ns)
+        if message.stream not in OF_THE_SENDER:
+            self.newest = max(self.newest, message.record.time_ns)
         if message.missed:
-            text = f"{message.missed} of {message.stream} before number {message.record.sequence}"
-            self._note(message.record.time_ns, "missed", text)
+            self._note_missed(message.record.time_ns)
         keep = getattr(self, f"_{message.stream}", None)
         if keep is not None:
             keep(message.record)
@@ -137,6 +141,12 @@ class SeenRun:
         self._note(fault.time_ns, "fault", f"{fault.source}: {fault.message}")
 
     # How it is kept
+
+    def _note_missed(self, time: int) -> None:
+        """List that something is missing, once a second: how much of which stream, the streams' table says."""
+        if time - self._missed_at >= second:
+            self._missed_at = time
+            self._note(time, "missed", "records are missing here: see Streams")
 
     def _note(self, time: int, kind: str, text: str) -> None:
         self.counted[kind] += 1

@@ -150,4 +150,3 @@ def _page_files() -> list[tuple[str, bytes]]:
         for each in folder.iterdir()
         if each.is_file()
     ]
-

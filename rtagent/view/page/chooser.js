@@ -60,15 +60,26 @@ export class Chooser {
       store(this.kept, [...this.chosen]);
       this.onChange();
     });
-    row.append(box, label);
+    row.append(box, breakable(label));
     if (unit) row.append(Object.assign(document.createElement("small"), { textContent: unit }));
     return row;
   }
 }
 
+function breakable(label) {
+  const text = document.createElement("span");
+  label.split(/(?<=[_.])/).forEach((part) => text.append(part, document.createElement("wbr")));
+  return text;
+}
+
+// The signals, those of devices first.
+export function sorted(signals) {
+  return [...signals].sort((a, b) => (a.group === "agent") - (b.group === "agent"));
+}
+
 function choices(about) {
   return [
-    ...about.signals.map(({ key, group, column, unit }) => ({ key, group, label: column, unit })),
+    ...sorted(about.signals).map(({ key, group, column, unit }) => ({ key, group, label: column, unit })),
     ...(about.demons ?? []).map(({ name }, place) => ({ key: `prediction/${place}`, group: "predictions", label: name })),
     ...about.components.map((name) => ({ key: `components/${name}`, group: "component times", label: name })),
   ];

@@ -1,7 +1,7 @@
 // Beside the plots: the reaction-time histogram, what happened, and what came of each stream.
 
 import uPlot from "./uplot/uPlot.esm.js";
-import { colour, short } from "./plots.js";
+import { colour, decades, micros } from "./plots.js";
 
 const HEIGHT = 140;
 const LISTED = 200;
@@ -26,7 +26,7 @@ export class Histogram {
       legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, distr: 3 }, y: { range: (_, low, high) => [0, Math.max(1, high)] } },
       axes: [
-        { ...axis, size: 24, values: (_, ticks) => ticks.map((tick) => (tick && Number.isInteger(Math.log10(tick)) ? micros(tick) : "")) },
+        { ...axis, size: 24, splits: decades, filter: (_, ticks) => ticks, values: (_, ticks) => ticks.map(micros) },
         { ...axis, size: 34, incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 100000] },
       ],
       series: [{}, {
@@ -35,11 +35,6 @@ export class Histogram {
       }],
     };
   }
-}
-
-export function micros(value) {
-  if (value >= 1e6) return `${short(value / 1e6)} s`;
-  return value >= 1000 ? `${short(value / 1000)} ms` : `${short(value)} µs`;
 }
 
 export function table(place, titles, rows) {

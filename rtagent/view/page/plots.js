@@ -1,5 +1,6 @@
 // The plots over time: one for each unit of the chosen signals, one for each chosen demon, one of the components.
 
+import { sorted } from "./chooser.js";
 import uPlot from "./uplot/uPlot.esm.js";
 
 const HEIGHT = 132;
@@ -16,6 +17,19 @@ export function short(value) {
   return String(Number(value.toPrecision(4)));
 }
 
+export function micros(value) {
+  if (value == null || Number.isNaN(value)) return "–";
+  if (value >= 1e6) return `${short(value / 1e6)} s`;
+  return value >= 1000 ? `${short(value / 1000)} ms` : `${short(value)} µs`;
+}
+
+// The powers of ten on a logarithmic axis.
+export function decades(_, axis, low, high) {
+  const first = Math.ceil(Math.log10(low) - 1e-9);
+  const count = Math.max(0, Math.floor(Math.log10(high) + 1e-9) - first + 1);
+  return Array.from({ length: count }, (_, place) => 10 ** (first + place));
+}
+
 // Which plots there are to be, each with a title and its series.
 export function layout(about, chosen) {
   const plots = new Map();
@@ -23,7 +37,7 @@ export function layout(about, chosen) {
     if (!plots.has(id)) plots.set(id, { id, series: [], ...plot });
     plots.get(id).series.push(series);
   };
-  for (const signal of about.signals) {
+  for (const signal of sorted(about.signals)) {
     if (!chosen.has(signal.key)) continue;
     const id = signal.unit ? `unit ${signal.unit}` : signal.key;
     const label = signal.group === "agent" ? signal.column : `${signal.group}.${signal.column}`;
@@ -38,7 +52,7 @@ export function layout(about, chosen) {
   });
   for (const name of about.components) {
     if (chosen.has(`components/${name}`)) {
-      add("components", { title: "Component times", note: "µs", log: true }, { key: `components/${name}`, label: name });
+      add("components", { title: "Component times", log: true }, { key: `components/${name}`, label: name });
     }
   }
   return [...plots.values()];
@@ -94,6 +108,7 @@ export class Plots {
   }
 
   #options(plot, width) {
+    const say = plot.log ? micros : short;
     const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     return {
       width,
@@ -107,13 +122,13 @@ export class Plots {
       },
       axes: [
         { ...axis, size: 26, values: (_, ticks) => ticks.map((tick) => `${Number(tick.toPrecision(9))} s`) },
-        { ...axis, size: 56, values: (_, ticks) => ticks.map((tick) => (tick == null ? "" : short(tick))) },
+        { ...axis, size: 56, values: (_, ticks) => ticks.map(say), ...(plot.log ? { splits: decades, filter: (_, ticks) => ticks } : {}) },
       ],
       series: [
         { label: "time", value: (_, value) => (value == null ? "" : `${value.toFixed(3)} s`) },
         ...plot.series.map(({ label, dash }, place) => ({
           label, dash, spanGaps: true, width: dash ? 1.5 : 1.25, points: { show: false },
-          stroke: colour(`--s${(place % 8) + 1}`), value: (_, value) => short(value),
+          stroke: colour(`--s${(place % 8) + 1}`), value: (_, value) => say(value),
         })),
       ],
       hooks: { draw: [(drawn) => this.#lines(drawn)], setSelect: [(drawn) => this.#selected(drawn)] },
@@ -128,8 +143,10 @@ export class Plots {
       if (time < begin || time > end || !SHOWN.includes(kind)) continue;
       const name = kind === "annotation" ? "--accent" : kind === "stimulus" ? "--warn" : "--bad";
       ctx.strokeStyle = colour(name);
-      ctx.globalAlpha = kind === "stimulus" ? 0.55 : 0.9;
-      ctx.lineWidth = devicePixelRatio * (kind === "stimulus" ? 1 : 2);
+      const isThin = kind === "stimulus" || kind === "missed";
+      ctx.globalAlpha = isThin ? 0.5 : 0.9;
+      ctx.lineWidth = devicePixelRatio * (isThin ? 1 : 2);
+      ctx.setLineDash([]);
       const x = drawn.valToPos(time, "x", true);
       ctx.beginPath();
       ctx.moveTo(x, bbox.top);
