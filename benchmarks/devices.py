@@ -16,6 +16,8 @@ PARTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "emulator": ("_emulator_jobs", ("sdk_operations", "bus_times", "idling")),
     "bus": ("_bus_jobs", ("bus_rows",)),
     "safety": ("_safety_jobs", ("safety_rows",)),
+    "arduino": ("_arduino_jobs", ("simulated", "clocks", "killed", "mishaps", "noise")),
+    "webcam": ("_webcam_jobs", ("webcam_rows",)),
 }
 """Modules of benchmarks/, and the functions in them that give rows."""
 

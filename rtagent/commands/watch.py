@@ -37,19 +37,22 @@ def watch_command(arguments: argparse.Namespace) -> int:
 async def _watch(agent: str, access: Access, *, once: bool) -> None:
     runs: dict[tuple[str, str], Watched] = {}
     console = Console()
-    listening = asyncio.ensure_future(_listen(agent, access, runs))
+    connected = asyncio.get_running_loop().create_future()
+    listening = asyncio.ensure_future(_listen(agent, access, runs, connected))
     try:
         if once:
+            await asyncio.wait({listening, connected}, return_when=asyncio.FIRST_COMPLETED)
             await asyncio.wait({listening}, timeout=ONCE)
-            console.print(_drawn(runs))
+            if not listening.done():
+                console.print(_drawn(runs))
         else:
             await _draw(console, runs, listening)
     finally:
         if listening.done():
             listening.result()
-        listening.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await listening
+        else:
+            listening.cancel()
+            await asyncio.wait({listening})
 
 
 async def _draw(console: Console, runs: dict[tuple[str, str], Watched], listening: asyncio.Future[None]) -> None:
@@ -59,8 +62,11 @@ async def _draw(console: Console, runs: dict[tuple[str, str], Watched], listenin
             live.update(_drawn(runs), refresh=True)
 
 
-async def _listen(agent: str, access: Access, runs: dict[tuple[str, str], Watched]) -> None:
-    async with contextlib.aclosing(subscribe(agent, access=access)) as messages:
+async def _listen(
+    agent: str, access: Access, runs: dict[tuple[str, str], Watched], connected: asyncio.Future[None]
+) -> None:
+    listener = subscribe(agent, access=access, connected=lambda: connected.set_result(None))
+    async with contextlib.aclosing(listener) as messages:
         async for message in messages:
             runs.setdefault((message.agent, message.run), Watched()).take(message)
 

@@ -50,8 +50,9 @@ def _settings_table(
 ) -> dict[str, Any]:
     """Return a table of the settings of a plug-in, and of further `properties`, some of them `required`."""
     plugin = plugins.load(group, name)
-    table = settings_model(plugin).model_json_schema(ref_template=REF)
-    definitions.update(table.pop("$defs", {}))
+    own = f"{group}.{name}."  # two plug-ins may have settings of one name
+    table = settings_model(plugin).model_json_schema(ref_template=REF.replace("{", own + "{"))
+    definitions.update({own + key: each for key, each in table.pop("$defs", {}).items()})
     table["title"] = name
     table["description"] = plugins.summary(plugin)
     table["properties"] = properties | table.get("properties", {})

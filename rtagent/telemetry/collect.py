@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -52,12 +53,13 @@ class Collector:
         self._newest: Newest | None = None
         self._lost: Lost | None = None
         self._report: Callable[[str, str], None] | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
 
     # Hooks
 
     def run_began(self, report: Callable[[str, str], None]) -> None:
-        """Note where faults are to be told."""
-        self._report = report
+        """Note where faults are to be told, and on which loop."""
+        self._report, self.loop = report, asyncio.get_running_loop()
 
     def trial_began(self, trial: int, agent: Agent) -> None:
         """Note whose predictions are told, and tell what they are about."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from zenoh import Config, Session
 
 ENDPOINT = "tcp/127.0.0.1:7447"
+TIMEOUT = 3000
+"""How long (ms) a session may take to be there."""
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -43,9 +46,10 @@ class Access(msgspec.Struct, frozen=True):
     users: str = ""
 
     @property
-    def is_local(self) -> bool:
-        """Whether the endpoint is of this machine."""
-        return self.endpoint.split("/", 1)[-1].rsplit(":", 1)[0] in LOCAL
+    def can_be_started(self) -> bool:
+        """Whether a router could be started at the endpoint: on this machine, with all that it needs."""
+        protocol, _, address = self.endpoint.partition("/")
+        return address.rsplit(":", 1)[0] in LOCAL and (protocol == "tcp" or bool(self.certificate and self.key))
 
 
 def zenoh_module() -> Any:
@@ -57,23 +61,28 @@ def zenoh_module() -> Any:
     return zenoh
 
 
-def open_client(access: Access, *, start_router: bool = True) -> Session:
+def open_client(access: Access) -> Session:
     """Return a session; a local router that is missing is started. Raises `TelemetryError`."""
     zenoh = zenoh_module()
-    if access.is_local and start_router and not _listens(access.endpoint):
+    if not _listens(access.endpoint):
+        if not access.can_be_started:
+            raise TelemetryError(
+                f"nothing listens at {access.endpoint}: start a run there, or give another one."
+            )
         _start_router(access)
     settings = _common(access) | {
         "mode": "client",
         "connect/endpoints": [access.endpoint],
-        "connect/timeout_ms": 5000,
+        "connect/timeout_ms": TIMEOUT,
         "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 500, "period_max_ms": 1000, "period_increase_factor": 2},
     }
     try:
         session: Session = zenoh.open(config(settings))
     except zenoh.ZError as error:
         raise TelemetryError(
-            f"nothing could be reached at {access.endpoint}: {_first_line(error)}. "
-            "See that a router listens there, and that user, password and certificates are right."
+            f"{access.endpoint} lets nobody in as {access.user or 'no user'}: see that user, password and certificates "
+            f"are right (Zenoh says: {reason(error)})."
         ) from None
     return session
 
@@ -142,5 +151,6 @@ def _start_router(access: Access) -> None:
         raise TelemetryError(f"no router could be started at {access.endpoint}: {said or 'it said nothing'}")
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0].rstrip(".")
+def reason(error: Exception) -> str:
+    """Return why Zenoh failed, without the places in its source."""
+    return re.sub(r"( at|\.)* \S*\.rs:\d+\.?", "", str(error).splitlines()[0]).rstrip(".")

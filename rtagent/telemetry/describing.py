@@ -8,6 +8,7 @@ import os
 import platform
 from typing import Any
 
+from rtagent.device import Pressable
 from rtagent.learning import Horde
 from rtagent.learning.cumulants import Signal as SignalCumulant
 from rtagent.learning.cumulants import Within
@@ -39,6 +40,7 @@ def about_run(scenario: Scenario, assembly: Assembly) -> dict[str, Any]:
         "devices": devices,
         "state": list(assembly.task.state),
         "actions": list(assembly.task.actions),
+        "buttons": [name for name, device in assembly.devices.items() if isinstance(device, Pressable)],
     }
 
 

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -42,7 +43,7 @@ class Wishes:
     """What is to become of a run's records: published with `publish` (None: not), recorded in `record` ("": not).
 
     `buffer` is how many cycles may wait. `commands` are what a viewer may ask for, by name, each called with a
-    text, in a thread; without any there is no control.
+    text; without any there is no control.
     """
 
     publish: Access | None = field(default_factory=Access)
@@ -101,9 +102,19 @@ class Link:
             if "trouble" in said:
                 self.collector.troubles.append(said["trouble"])
             elif "command" in said:
-                self._wishes.commands[said["command"]](said["text"])
+                self._obey(said["command"], said["text"])
             elif "closed" in said:
                 self.closed = said["closed"]
+
+    def _obey(self, command: str, text: str) -> None:
+        """Do what a viewer asks for: stop at once, all else on the event loop."""
+        do = partial(self._wishes.commands[command], text)
+        loop = self.collector.loop
+        if command == "stop" or loop is None:
+            do()
+            return
+        with contextlib.suppress(RuntimeError):  # the loop has just been closed
+            loop.call_soon_threadsafe(do)
 
     def close(self, how: str) -> list[str]:
         """Tell how the run ended, and let the sender finish; one that hangs is left behind.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rtagent.telemetry.connection import Access, TelemetryError, open_client, zenoh_module
+from rtagent.telemetry.connection import Access, TelemetryError, open_client, reason, zenoh_module
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.records import STREAMS, schema_name, schemas
 
@@ -64,7 +64,7 @@ class Publisher:
                     self._publishers = {}
             except Exception as error:  # whatever Zenoh raises: the run and its recording go on
                 if not told:
-                    said = str(error) if isinstance(error, TelemetryError) else f"Zenoh says: {error}"
+                    said = str(error) if isinstance(error, TelemetryError) else f"Zenoh says: {reason(error)}"
                     self._trouble(f"nothing is published: {said}")
                 told = True
                 self._ending.wait(LOOK_EVERY)

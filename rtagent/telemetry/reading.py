@@ -112,8 +112,9 @@ class Scan:
             return
 
     def _entries(self, part: Any) -> Iterator[Entry]:
-        inside = breakup_chunk(part, validate_crc=True) if isinstance(part, Chunk) else [part]
-        for each in inside:
+        if not isinstance(part, Chunk):
+            return  # only chunks are checked by a sum
+        for each in breakup_chunk(part, validate_crc=True):
             if isinstance(each, Channel):
                 self._channels[each.id] = each.topic
             elif isinstance(each, Message) and each.channel_id in self._channels:

@@ -58,6 +58,11 @@ class McapFile:
         self._file.truncate(self._safe)
 
 
+def open_new(path: str) -> IO[bytes]:
+    """Return a new file to write to; raise OSError where it cannot be made, or is there already."""
+    return Path(path).open("xb", buffering=1 << 20)
+
+
 class Recorder:
     """Writes records to a file, in a thread; `trouble` is told, in a sentence, of what goes wrong.
 
@@ -66,7 +71,7 @@ class Recorder:
 
     def __init__(self, path: str, trouble: Callable[[str], None]) -> None:
         self.path, self._trouble = path, trouble
-        self._file = Path(path).open("xb", buffering=1 << 20)  # noqa: SIM115  # the thread closes it
+        self._file = open_new(path)
         self.not_recorded = 0
         self._waiting = self._written = 0
         self._moved = RealClock.now()

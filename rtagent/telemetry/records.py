@@ -60,7 +60,8 @@ class DemonAbout(msgspec.Struct, frozen=True):
 class Run(Record, kw_only=True, frozen=True):
     """A run as a whole. The newest record counts: `demons` are known with the first trial.
 
-    `ended` says how it ended ("": it goes on).
+    `control` says whether it takes commands, `buttons` which devices can be pressed by one; `ended` how it ended
+    ("": it goes on).
     """
 
     agent: str
@@ -75,6 +76,7 @@ class Run(Record, kw_only=True, frozen=True):
     state: list[str]
     actions: list[str]
     demons: list[DemonAbout]
+    buttons: list[str]
     control: bool
     ended: str = ""
 

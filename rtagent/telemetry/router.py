@@ -8,7 +8,7 @@ import threading
 
 import msgspec
 
-from rtagent.telemetry.connection import Access, TelemetryError, config, router_settings, zenoh_module
+from rtagent.telemetry.connection import Access, TelemetryError, config, reason, router_settings, zenoh_module
 
 LOOK_EVERY = 1.0
 LINGERS = 5
@@ -22,7 +22,7 @@ def main() -> int:
         zenoh = zenoh_module()
         session = zenoh.open(config(router_settings(access)))
     except (TelemetryError, zenoh.ZError) as error:
-        _say(str(error).splitlines()[0])
+        _say(reason(error))
         return 1
     _say("ready")
     alone, pause = 0, threading.Event()

@@ -158,6 +158,10 @@ class Sender:
         """Take a command of a viewer's, in a thread of Zenoh's."""
         if name not in self._commands:
             raise TelemetryError(f"there is no command {name!r}: this run takes {', '.join(self._commands)}.")
+        if name == "press" and text not in self._about["buttons"]:
+            raise TelemetryError(
+                f"there is no button {text!r}: {', '.join(self._about['buttons']) or 'this run has none'}."
+            )
         self._given.put(("annotation" if name == "annotate" else name, text))
         if name != "annotate":
             _tell(command=name, text=text)

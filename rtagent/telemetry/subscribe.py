@@ -7,7 +7,7 @@ async for message in subscribe(streams=("sample", "reaction")):
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Collection
+from collections.abc import AsyncGenerator, Callable, Collection
 from typing import Any, NamedTuple
 
 import msgspec
@@ -52,11 +52,17 @@ class Reader:
 
 
 async def subscribe(
-    agent: str = "*", run: str = "*", streams: Collection[str] = tuple(STREAMS), *, access: Access = LOCAL
+    agent: str = "*",
+    run: str = "*",
+    streams: Collection[str] = tuple(STREAMS),
+    *,
+    access: Access = LOCAL,
+    connected: Callable[[], None] | None = None,
 ) -> AsyncGenerator[Message]:
     """Yield the records of these runs as they come, the newest of each stream first.
 
-    `agent` and `run` are names, or "*" for all. Raises `TelemetryError` where there is no connection.
+    `agent` and `run` are names, or "*" for all; `connected` is called once there is a connection. Raises
+    `TelemetryError` where there is none.
     """
     loop = asyncio.get_running_loop()
     waiting: asyncio.Queue[tuple[str, bytes]] = asyncio.Queue(MOST_WAITING)
@@ -75,6 +81,8 @@ async def subscribe(
     try:
         keys = f"{DATA}/{agent}/{run}/*"
         session.declare_subscriber(keys, heard)
+        if connected is not None:
+            connected()
         session.get(keys, lambda reply: heard(reply.ok) if reply.ok is not None else None)
         while True:
             message = reader.read(*await waiting.get())

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from rtagent.device import Pressable
 from rtagent.latch import Latch
 from rtagent.scenario import Assembly, Scenario
 from rtagent.scenario.model import TelemetryTable
@@ -41,14 +42,12 @@ def _commands(assembly: Assembly, latch: Latch) -> Mapping[str, Callable[[str], 
     """Return what a viewer may do to a run."""
     return {
         "stop": lambda text: latch.trip("telemetry", text or "a viewer asked for it"),
-        "annotate": lambda text: None,
+        "annotate": lambda text: None,  # it is only recorded
         "press": partial(_press, assembly),
     }
 
 
 def _press(assembly: Assembly, text: str) -> None:
-    """Press a button of every device that has some."""
-    for device in assembly.devices.values():
-        press = getattr(device, "press", None)
-        if press is not None:
-            press(text)
+    device = assembly.devices[text]
+    if isinstance(device, Pressable):
+        device.press()

@@ -6,9 +6,7 @@ may be dead or stopped. It writes through whatever is on the line, again and aga
 
 from __future__ import annotations
 
-import array
 import contextlib
-import fcntl
 import os
 import select
 import termios
@@ -35,6 +33,7 @@ from rtagent_drivers.dynamixel.orders import (
 from rtagent_drivers.dynamixel.packets import Request, Span, Status
 from rtagent_drivers.dynamixel.timing import transaction
 from rtagent_drivers.dynamixel.values import to_si, unpack
+from rtagent_drivers.raw_line import open_line, read_some
 
 LINE_ERRORS = (OSError, termios.error)
 WITHIN = 0.9
@@ -47,10 +46,6 @@ PAUSE = 0.005
 """Seconds between one attempt and the next."""
 
 LONGEST_RETURN_DELAY = 508_000
-TCGETS2, TCSETS2, CBAUD, BOTHER = 0x802C542A, 0x402C542B, 0o010017, 0o010000
-"""How Linux sets a rate that is no constant (asm-generic/ioctls.h, termbits.h)."""
-
-CONTROL_FLAGS, INPUT_SPEED, OUTPUT_SPEED = 2, 9, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +108,7 @@ class Spare:
 
     def _open(self) -> None:
         if self._fd < 0:
-            self._fd = os.open(self._port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
-            set_raw(self._fd, self._baud)
+            self._fd = open_line(self._port, self._baud)
 
     def _attempt(self, servos: Sequence[Servo]) -> list[Servo]:
         """Write the safe state of servos; return those that do not say that they have it."""
@@ -182,7 +176,7 @@ class Spare:
         decoder, ends = self._codec.status_decoder(), monotonic() + takes + PATIENCE
         while not exchange.over and (left := ends - monotonic()) > 0:
             if select.select([self._fd], [], [], left)[0]:
-                for status in decoder.feed(_read(self._fd)):
+                for status in decoder.feed(read_some(self._fd)):
                     exchange.take(status)
         return exchange.statuses
 
@@ -190,30 +184,3 @@ class Spare:
 def _torque_span(servo: Servo) -> Span:
     register = servo.model.registers["torque_enable"]
     return Span(servo.id, register.address, register.size)
-
-
-def _read(fd: int) -> bytes:
-    try:
-        data = os.read(fd, 4096)
-    except BlockingIOError:
-        return b""
-    if not data:
-        raise OSError("it was unplugged")
-    return data
-
-
-def set_raw(fd: int, baud: int) -> None:
-    """Let bytes through as they are, at `baud` bits a second."""
-    settings = termios.tcgetattr(fd)
-    settings[0] = settings[1] = settings[3] = 0
-    settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-    constant = getattr(termios, f"B{baud}", None)
-    settings[4] = settings[5] = termios.B38400 if constant is None else constant
-    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
-    termios.tcsetattr(fd, termios.TCSANOW, settings)
-    if constant is None:
-        numbers = array.array("i", [0] * 64)
-        fcntl.ioctl(fd, TCGETS2, numbers)
-        numbers[CONTROL_FLAGS] = numbers[CONTROL_FLAGS] & ~CBAUD | BOTHER
-        numbers[INPUT_SPEED] = numbers[OUTPUT_SPEED] = baud
-        fcntl.ioctl(fd, TCSETS2, numbers)

@@ -1,4 +1,4 @@
-"""The loop of an emulator: between a bus, a terminal, and orders on the standard input."""
+"""The loop of an emulator: between a emulated device, a terminal, and orders on the standard input."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import selectors
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from rtagent.clock.real import RealClock, TimerfdSelector, fine_timer_slack
 from rtagent.errors import RtagentError
 from rtagent.units import second, us
-from rtagent_drivers.dynamixel.emulated.bus import EmulatedBus
-from rtagent_drivers.dynamixel.emulated.control import obey
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
 
 SPIN = 50 * us
@@ -34,11 +33,30 @@ class Way:
     linger: int | None = None
 
 
-class Emulator:
-    """A bus, a terminal, and the loop between them."""
+class Emulated(Protocol):
+    """What is at the other end of a serial line; times in ns."""
 
-    def __init__(self, bus: EmulatedBus, terminal: Terminal, way: Way) -> None:
-        self._bus, self._terminal, self._way = bus, terminal, way
+    @property
+    def unplugged(self) -> bool:
+        """Whether the line is gone."""
+
+    def receive(self, now: int, data: bytes, baud: int, /) -> None:
+        """Take bytes that a program has sent at `baud` bits a second."""
+
+    def due(self) -> int | None:
+        """Return when it next has something to say, or None until it is told something."""
+
+    def take(self, now: int, /) -> bytes:
+        """Return what it has said by `now`."""
+
+
+class Emulator:
+    """What is emulated, a terminal, and the loop between them; `obey` does what a line says and returns a reply."""
+
+    def __init__(
+        self, bus: Emulated, obey: Callable[[int, str], dict[str, Any] | None], terminal: Terminal, way: Way
+    ) -> None:
+        self._bus, self._do, self._terminal, self._way = bus, obey, terminal, way
         self._now: Callable[[], int] = RealClock.now
         self._orders = b""
         self._ends_at: int | None = None
@@ -105,7 +123,7 @@ class Emulator:
 
     def _obey(self, line: str) -> None:
         try:
-            told = obey(self._bus, self._now(), line)
+            told = self._do(self._now(), line)
         except RtagentError as error:
             sys.stderr.write(f"{error}\n")
             return

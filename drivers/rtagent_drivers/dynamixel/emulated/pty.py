@@ -14,6 +14,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,7 +23,7 @@ from rtagent.clock import RealClock
 from rtagent.errors import RtagentError, SpecError, did_you_mean
 from rtagent.units import BAUD, TIME
 from rtagent_drivers.dynamixel.emulated.bus import EmulatedBus, Log
-from rtagent_drivers.dynamixel.emulated.control import USAGE, read_fault, read_joints
+from rtagent_drivers.dynamixel.emulated.control import USAGE, obey, read_fault, read_joints
 from rtagent_drivers.dynamixel.emulated.process import Emulator, Way
 from rtagent_drivers.dynamixel.emulated.robots import ROBOTS, Joint
 from rtagent_drivers.dynamixel.emulated.terminal import Terminal
@@ -64,7 +65,8 @@ def _emulate(given: argparse.Namespace) -> None:
         bus = EmulatedBus(joints, protocol, now, timing=given.timing, faults=faults, log=log)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, _end)
-        Emulator(bus, terminal, Way(given.timing, given.linger)).run(lambda: _say(str(given.link)))
+        way = Way(given.timing, given.linger)
+        Emulator(bus, partial(obey, bus), terminal, way).run(lambda: _say(str(given.link)))
 
 
 def _joints(given: argparse.Namespace) -> tuple[Sequence[Joint], int]:
