@@ -28,5 +28,5 @@ def _ask(access: Access, run: str, name: str, text: str) -> str:
     place = Place(*run.partition("/")[::2])
     if name not in COMMANDS or any(as_chunk(part) != part for part in place):
         raise TelemetryError(f"{name!r} for the run {run!r}: give stop, annotate or press, and a run as agent/run.")
-    with open_client(access, start_router=False) as session:
+    with open_client(access) as session:
         return command(session, place, name, text)

@@ -94,18 +94,16 @@ def _about(run: SeenRun, wish: Wish, name: str) -> dict[str, Any]:
     if wish.about == run.about and wish.run == name:
         return {}
     told, signals = run.run, [{"key": f"{each.table}/{each.column}"} | each._asdict() for each in run.signals]
-    about: dict[str, Any] = {"version": run.about, "signals": signals, "components": list(COMPONENTS)}
+    about: dict[str, Any] = {"version": run.about, "signals": signals, "components": []}
+    if "components" in run.tables:
+        about["components"] = list(COMPONENTS)
     if told is not None:
         demons = [
             {"name": each.name, "known": each.gamma is not None and bool(each.signal)} for each in told.demons
         ]
-        about |= {"demons": demons, "actions": told.actions, "control": told.control, "clock": told.clock}
-        about |= {"seed": told.seed, "ended": told.ended, "preset": _preset(told.scenario)}
+        about |= {"demons": demons, "actions": told.actions, "control": told.control, "buttons": told.buttons}
+        about |= {"ended": told.ended}
     return {"about": about}
-
-
-def _preset(scenario: dict[str, Any]) -> str:
-    return str(scenario.get("schedule", {}).get("preset", ""))
 
 
 def _happened(run: SeenRun, wish: Wish, name: str) -> dict[str, Any]:

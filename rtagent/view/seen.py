@@ -119,7 +119,8 @@ class SeenRun:
 
     def _components(self, took: records.Components) -> None:
         times = [getattr(took, name) for name in COMPONENTS]
-        self._row("components", COMPONENTS, took.time_ns, [None if time is None else time / 1000 for time in times])
+        values = [None if time is None else time / 1000 for time in times]
+        self.about += self._row("components", COMPONENTS, took.time_ns, values)
 
     def _reaction(self, reaction: records.Reaction) -> None:
         self.reactions.add(reaction)

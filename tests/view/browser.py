@@ -10,10 +10,10 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
-from parts import SCENARIOS
 from selenium import webdriver
 from selenium.common.exceptions import WebDriverException
 from selenium.webdriver.chrome.service import Service
@@ -22,6 +22,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
+SCENARIO = Path(__file__).parents[2] / "scenarios" / "stopping_horde.toml"
 TOOLS = ("chromium", "chromedriver")
 SETTINGS = (
     "run.episodes=100000",
@@ -29,7 +30,7 @@ SETTINGS = (
     "horde.demons.0.bins=0",
     "horde.features.prototypes=50",
 )
-"""What is said of scenarios/stopping_horde.toml: 112 demons, and no end."""
+"""What is said of the scenario: 112 demons, and no end."""
 RATE = ("devices.joint.sampling={rate='1kHz'}",)
 PATIENCE = 60
 """So long (s) is waited for what has to come: kernels may have to be compiled first."""
@@ -99,7 +100,7 @@ def view_of(endpoint: str) -> Iterator[tuple[str, int]]:
 def run_at(endpoint: str, settings: Sequence[str] = SETTINGS + RATE) -> Iterator[subprocess.Popen[str]]:
     """Give a run that is published there."""
     given = [f"--set={each}" for each in (*settings, f"telemetry.endpoint='{endpoint}'")]
-    with ended(start("run", str(SCENARIOS / "stopping_horde.toml"), "--quiet", *given)) as process:
+    with ended(start("run", str(SCENARIO), "--quiet", *given)) as process:
         yield process
 
 

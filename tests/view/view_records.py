@@ -27,7 +27,7 @@ def run_record(demons: list[DemonAbout] | None = None, began: int = 0, ended: st
     return records.Run(
         sequence=0, time_ns=began, agent="arm", run="1", epoch_ns=0, clock="real", seed=1, scenario={}, machine={},
         versions={}, devices={"joint": DeviceSignals({"x": signal, "y": signal}, {}, 0.0)}, state=["x", "z"],
-        actions=["go", "stop"], demons=demons or [], control=True, ended=ended,
+        actions=["go", "stop"], demons=demons or [], buttons=[], control=True, ended=ended,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ export class Chooser {
       this.kept = kept;
       this.chosen = new Set(stored(kept) ?? []);
     }
-    const grown = JSON.stringify([about.signals, about.demons]);
+    const grown = JSON.stringify([about.signals, about.demons, about.components]);
     if (grown !== this.grown) {
       this.grown = grown;
       this.about = about;

@@ -122,8 +122,8 @@ function showTables(head) {
   const silent = !ended && head.silent > SILENT;
   $("state").textContent = silent ? `silent for ${Math.round(head.silent)} s` : head.state || "no description yet";
   $("state").className = `pill ${ended || silent ? "warn" : "good"}`;
-  histogram.show(head.reactions);
   showReactions(head.reactions, head.counted);
+  histogram.show(head.reactions);
   showStreams(head.streams);
   showHappened(happened, head.counted);
 }
@@ -165,6 +165,12 @@ function control() {
     control.disabled = !on;
     control.title = why;
   }
+  const buttons = on ? about.buttons ?? [] : [];
+  $("buttons").replaceChildren(...buttons.map((name) => {
+    const button = Object.assign(document.createElement("button"), { textContent: `Press ${name}` });
+    button.addEventListener("click", () => stream.command(view.run, "press", name));
+    return button;
+  }));
 }
 
 function mark(event) {

@@ -52,7 +52,8 @@ export function showReactions(reactions, counted) {
   const missed = counted["missed reactions"] ?? 0;
   document.getElementById("reaction-count").textContent = `${reactions.count ?? 0}${missed ? `, ${missed} missed` : ""}`;
   const place = document.getElementById("reaction-parts");
-  if (!reactions.count) { place.replaceChildren(row("td", [{ text: "no reaction yet" }])); return; }
+  document.getElementById("histogram").hidden = !reactions.count;
+  if (!reactions.count) { place.replaceChildren(row("td", [{ text: "None yet." }])); return; }
   const parts = Object.entries(reactions.parts);
   table(place, ["", "median", "p99", "max"], parts.map(([name, values]) => [{ text: name }, ...values.map((each) => ({ text: micros(each) }))]));
 }
@@ -79,5 +80,5 @@ export function showHappened(happened, counted) {
     );
     return item;
   });
-  document.getElementById("happened").replaceChildren(...items);
+  document.getElementById("happened").replaceChildren(...(items.length ? items : ["Nothing yet."]));
 }

@@ -3,7 +3,9 @@
 import { sorted } from "./chooser.js";
 import uPlot from "./uplot/uPlot.esm.js";
 
-const HEIGHT = 132;
+const HEIGHT = { least: 110, most: 260 }; // px; in between, all plots fill the page
+const ABOVE = 64; // px of a card, and between two, that are no plot
+const NEAR = 40; // columns within which a cursor finds a value
 const GAP = 20; // px at the right, for half of the last label
 const BESIDE = 22; // px that a card is wider than its plot
 const SHOWN = ["annotation", "stop", "press", "fault", "missed", "stimulus"]; // are lines in every plot
@@ -78,6 +80,7 @@ export class Plots {
   show(layouts) {
     for (const { drawn, card } of this.plots) { drawn.destroy(); card.remove(); }
     this.plots = layouts.map((plot) => this.#make(plot));
+    this.#resize();
   }
 
   draw({ head, values }) {
@@ -89,7 +92,15 @@ export class Plots {
   }
 
   #resize() {
-    for (const { drawn, card } of this.plots) drawn.setSize({ width: width(card), height: HEIGHT });
+    const height = this.#height();
+    for (const { drawn, card } of this.plots) drawn.setSize({ width: width(card), height });
+  }
+
+  #height() {
+    const across = getComputedStyle(this.place).gridTemplateColumns.split(" ").length;
+    const down = Math.max(1, Math.ceil(this.plots.length / across));
+    const each = Math.floor((this.place.clientHeight - 10) / down) - ABOVE;
+    return Math.max(HEIGHT.least, Math.min(HEIGHT.most, each));
   }
 
   #make(plot) {
@@ -112,10 +123,10 @@ export class Plots {
     const axis = { stroke: colour("--quiet"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     return {
       width,
-      height: HEIGHT,
+      height: HEIGHT.least,
       padding: [6, GAP, 0, 0],
       legend: { live: true },
-      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 } },
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, dataIdx: nearest },
       scales: {
         x: { time: false, range: () => { const { begin, end } = this.view(); return [begin, end]; } },
         y: plot.log ? { distr: 3 } : {},
@@ -162,6 +173,17 @@ export class Plots {
     this.onZoom(drawn.posToVal(left, "x"), drawn.posToVal(left + width, "x"));
     drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
   }
+}
+
+// The nearest place with a value of a series: in most columns only some of the series have one.
+function nearest(drawn, series, place) {
+  const values = drawn.data[series];
+  if (series === 0 || place == null) return place;
+  for (let away = 0; away <= NEAR; away++) {
+    if (values[place - away] != null) return place - away;
+    if (values[place + away] != null) return place + away;
+  }
+  return place;
 }
 
 const width = (card) => Math.max(200, card.clientWidth - BESIDE);
