@@ -1,14 +1,15 @@
 // The list of what can be plotted, and what of it is chosen; the choice is kept for the next time.
 
 const AT_FIRST = { signals: 3, demons: 2 };
-const MOST = 40; // series that can be chosen at a time: the server refuses more than 48
+const MOST = 24; // that can be chosen at a time: with returns 48 series, which is as many as the server sends
 const LISTED = 300; // demons that are listed before the filter has to say which
 
 export class Chooser {
-  constructor(place, filter, onChange) {
+  constructor(place, filter, { onChange, onFull }) {
     this.place = place;
     this.filter = filter;
     this.onChange = onChange;
+    this.onFull = onFull;
     this.chosen = new Set();
     this.about = null;
     filter.addEventListener("input", () => this.#list());
@@ -18,7 +19,7 @@ export class Chooser {
     const kept = `rtagent ${run.split("/")[0]}`;
     if (kept !== this.kept || !this.chosen.size) {
       this.kept = kept;
-      this.chosen = new Set(stored(kept) ?? []);
+      this.chosen = new Set((stored(kept) ?? []).slice(0, MOST));
     }
     const grown = JSON.stringify([about.signals, about.demons, about.components]);
     if (grown !== this.grown) {
@@ -55,7 +56,11 @@ export class Chooser {
     const row = Object.assign(document.createElement("label"), { className: "choice" });
     const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: this.chosen.has(key), name: key });
     box.addEventListener("change", () => {
-      if (box.checked && this.chosen.size >= MOST) { box.checked = false; return; }
+      if (box.checked && this.chosen.size >= MOST) {
+        box.checked = false;
+        this.onFull(`${MOST} can be shown at a time: choose another one away first.`);
+        return;
+      }
       if (box.checked) this.chosen.add(key); else this.chosen.delete(key);
       store(this.kept, [...this.chosen]);
       this.onChange();

@@ -28,7 +28,7 @@ const shown = () => {
 };
 const plots = new Plots($("plots"), { view: shown, onZoom: (begin, end) => look(end - begin, end) });
 const histogram = new Histogram($("histogram"));
-const chooser = new Chooser($("choices"), $("filter"), rebuild);
+const chooser = new Chooser($("choices"), $("filter"), { onChange: rebuild, onFull: (text) => say(text) });
 const stream = connect({ onFrame, onSaid, onState: (open) => { if (!open) say("The view's server is gone; trying again.", false); else say(""); } });
 
 // Frames: one is asked for at each tick, once the last has come

@@ -5,6 +5,7 @@ import { colour, decades, micros } from "./plots.js";
 
 const HEIGHT = 140;
 const LISTED = 200;
+const NAMES = { annotation: "mark" };
 
 export class Histogram {
   constructor(place) { this.place = place; this.drawn = null; }
@@ -75,7 +76,7 @@ export function showHappened(happened, counted) {
     const item = document.createElement("li");
     item.append(
       Object.assign(document.createElement("time"), { textContent: time.toFixed(2) }),
-      Object.assign(document.createElement("span"), { textContent: kind, className: `kind ${kind}` }),
+      Object.assign(document.createElement("span"), { textContent: NAMES[kind] ?? kind, className: `kind ${kind}` }),
       Object.assign(document.createElement("span"), { textContent: text }),
     );
     return item;

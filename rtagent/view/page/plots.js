@@ -4,10 +4,11 @@ import { sorted } from "./chooser.js";
 import uPlot from "./uplot/uPlot.esm.js";
 
 const HEIGHT = { least: 110, most: 260 }; // px; in between, all plots fill the page
-const ABOVE = 64; // px of a card, and between two, that are no plot
+const ABOVE = 84; // px of a card, and between two, that are no plot
 const NEAR = 40; // columns within which a cursor finds a value
 const GAP = 20; // px at the right, for half of the last label
 const BESIDE = 22; // px that a card is wider than its plot
+const TOLD = 250; // ms between the newest values in legends
 const SHOWN = ["annotation", "stop", "press", "fault", "missed", "stimulus"]; // are lines in every plot
 
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -67,6 +68,7 @@ export class Plots {
     this.view = view;
     this.plots = [];
     this.happened = [];
+    this.told = 0; // when the legends last told the newest values
     new ResizeObserver(() => this.#resize()).observe(place);
   }
 
@@ -86,8 +88,11 @@ export class Plots {
   draw({ head, values }) {
     const xs = new Float64Array(2 * head.columns);
     for (let place = 0; place < xs.length; place++) xs[place] = head.first + head.width * (place / 2 + 0.25);
+    const tells = performance.now() - this.told > TOLD;
+    if (tells) this.told = performance.now();
     for (const { plot, drawn } of this.plots) {
       drawn.setData([xs, ...plot.series.map(({ key }) => known(values.get(key), xs.length, plot.log))]);
+      if (tells) tellNewest(drawn);
     }
   }
 
@@ -187,6 +192,13 @@ function nearest(drawn, series, place) {
 }
 
 const width = (card) => Math.max(200, card.clientWidth - BESIDE);
+
+// While nobody points at a plot, its legend tells the newest values.
+function tellNewest(drawn) {
+  if (drawn.cursor.left >= 0) return;
+  const last = drawn.data.map((values) => values.findLastIndex((value) => value != null));
+  drawn.setLegend({ idxs: last.map((place) => (place < 0 ? null : place)) }, false);
+}
 
 // uPlot knows a missing value as null, and a logarithm none of what is not positive.
 function known(values, length, log) {
