@@ -80,14 +80,13 @@ class Hooks:
         self._heard_singly = not heard.isdisjoint(NOTED)
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
-
-    def note(self, name: str, *args: Any) -> None:
-        """Keep a call for later; worth it only where `name` is among `heard`."""
-        self.noted.append((name, args))
+        self.note = self.noted.append
+        """Keeps a call, the name and its arguments, for later; worth it only where the name is among `heard`."""
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
-        noted, self.noted = self.noted, []
+        noted = self.noted.copy()
+        self.noted.clear()
         if self._calls["noted"]:
             self.call("noted", noted)
         if self._heard_singly:

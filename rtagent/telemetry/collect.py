@@ -72,16 +72,13 @@ class Collector:
 
     def noted(self, calls: Calls) -> None:
         """Append what happened in a cycle."""
-        newest = self._newest
-        if newest is not None:
+        newest = None
+        if self._newest is not None:
             for name, _ in calls:
                 if name == "learned":
-                    self._put(calls, newest())
+                    newest = self._newest()
                     break
-            else:
-                self._put(calls)
-        else:
-            self._put(calls)
+        self._put(calls, newest)
         if self.troubles:
             self._tell_troubles()
 

@@ -66,9 +66,7 @@ def open_client(access: Access) -> Session:
     zenoh = zenoh_module()
     if not _listens(access.endpoint):
         if not access.can_be_started:
-            raise TelemetryError(
-                f"nothing listens at {access.endpoint}: start a run there, or give another one."
-            )
+            raise TelemetryError(f"nothing listens at {access.endpoint}: start a run there, or give another one.")
         _start_router(access)
     settings = _common(access) | {
         "mode": "client",
@@ -81,8 +79,8 @@ def open_client(access: Access) -> Session:
         session: Session = zenoh.open(config(settings))
     except zenoh.ZError as error:
         raise TelemetryError(
-            f"{access.endpoint} lets nobody in as {access.user or 'no user'}: see that user, password and certificates "
-            f"are right (Zenoh says: {reason(error)})."
+            f"{access.endpoint} lets nobody in as {access.user or 'no user'}: see that user, password and "
+            f"certificates are right (Zenoh says: {reason(error)})."
         ) from None
     return session
 

@@ -106,6 +106,11 @@ class Link:
             elif "closed" in said:
                 self.closed = said["closed"]
 
+    @property
+    def pid(self) -> int:
+        """The process of the sender."""
+        return self._process.pid
+
     def _obey(self, command: str, text: str) -> None:
         """Do what a viewer asks for: stop at once, all else on the event loop."""
         do = partial(self._wishes.commands[command], text)

@@ -13,7 +13,8 @@ class Newest:
 
     def __init__(self, horde: Horde) -> None:
         self._all = len(horde) <= MOST
-        self._groups = [(group.learned, group.watched) for group in horde.groups if self._all or len(group.watched)]
+        told = [group for group in horde.groups if self._all or len(group.watched)]
+        self._learned, self._watched = [group.learned for group in told], [group.watched for group in told]
         self.precision = str(horde.groups[0].learned.estimate.dtype)
         self.places = [
             place
@@ -24,5 +25,6 @@ class Newest:
     def __call__(self) -> bytes:
         """Return the predictions, about the next state of the transition that was learned last."""
         if self._all:
-            return b"".join([learned.estimate.data for learned, _ in self._groups])
-        return b"".join([learned.estimate[watched].data for learned, watched in self._groups])
+            return b"".join([learned.estimate for learned in self._learned])
+        parts = zip(self._learned, self._watched, strict=True)
+        return b"".join([learned.estimate[watched] for learned, watched in parts])

@@ -14,6 +14,9 @@ from rtagent.telemetry.records import STREAMS, schema_name, schemas
 LOOK_EVERY = 1.0
 """So often (s) it is seen whether there is still a router."""
 
+SETTLING = 0.05
+"""So long (s) it may take until the router has told who listens."""
+
 Control = Callable[[str, str], str]
 """Takes a command and its text; returns what was done, or raises `TelemetryError`."""
 
@@ -33,12 +36,13 @@ class Publisher:
         self._publishers: dict[str, Any] = {}
         self._session: Any = None
         self._token: Any = None
-        self._ending = threading.Event()
+        self._ending, self._tried = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._keep, name="zenoh", daemon=True)
 
-    def start(self) -> None:
-        """Begin to open a session."""
+    def start(self, patience: float) -> None:
+        """Begin to open a session, and wait `patience` (s) for it, so that who listens already misses nothing."""
         self._thread.start()
+        self._tried.wait(patience)
 
     def put(self, stream: str, data: bytes) -> None:
         """Publish a record; never waits for anybody."""
@@ -60,6 +64,8 @@ class Publisher:
             try:
                 with open_client(self._access) as self._session:
                     self._declare(self._session)
+                    self._ending.wait(SETTLING)
+                    self._tried.set()
                     self._watch()
                     self._publishers = {}
             except Exception as error:  # whatever Zenoh raises: the run and its recording go on
@@ -67,6 +73,7 @@ class Publisher:
                     said = str(error) if isinstance(error, TelemetryError) else f"Zenoh says: {reason(error)}"
                     self._trouble(f"nothing is published: {said}")
                 told = True
+                self._tried.set()
                 self._ending.wait(LOOK_EVERY)
 
     def _watch(self) -> None:
@@ -77,7 +84,6 @@ class Publisher:
 
     def _declare(self, session: Any) -> None:
         zenoh, place = zenoh_module(), self._place
-        self._token = session.liveliness().declare_token(place.run)  # ends where nobody holds it
         session.declare_queryable(place.key("*"), self._answer_newest)
         session.declare_queryable(place.schema("*"), self._answer_schemas)
         if self._control is not None:
@@ -92,6 +98,7 @@ class Publisher:
         }
         if "run" in self._newest:  # those who watched before the run began have not heard of it
             self._publishers["run"].put(self._newest["run"])
+        self._token = session.liveliness().declare_token(place.run)  # ends where nobody holds it
 
     def _answer_newest(self, query: Any) -> None:
         encoding = zenoh_module().Encoding.APPLICATION_JSON

@@ -32,6 +32,8 @@ PAUSE = 0.004
 """How long (s) it rests where there is nothing to send: nobody has to wake it."""
 AT_ONCE = 200
 """So many messages are sent before it looks at anything else."""
+OPENING = 2.0
+"""How long (s) what comes first waits for Zenoh."""
 CLOSING = 0.3
 """How long (s) Zenoh may take to close."""
 WRITING_OUT = 60.0
@@ -84,7 +86,7 @@ class Sender:
         publisher = Publisher(
             order.publish, Place(*order.place), self._command if order.control else None, _trouble
         )
-        publisher.start()
+        publisher.start(OPENING)
         return publisher
 
     def work(self) -> None:
