@@ -23,7 +23,7 @@ def main() -> None:
         page.find("#plots").click()
         time.sleep(SETTLING)
         mark(page, "the arm was touched")
-        time.sleep(2)
+        time.sleep(6)  # until it no longer says so
         save(page, "view_light")
         colours(page.window, "dark")
         time.sleep(1)
