@@ -14,10 +14,9 @@ import msgspec
 import numpy as np
 from _harness import Row
 
-from rtagent.telemetry.connection import Access
+from rtagent.telemetry.connection import Access, open_client
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.link import epoch
-from rtagent.telemetry.publishing import Publisher
 from rtagent.telemetry.records import DeviceSignals, Run, Sample, Signal
 from rtagent.units import ms, second
 
@@ -131,11 +130,9 @@ def _board() -> Iterator[tuple[Viewed, list[tuple[int, float]]]]:
     endpoint, ending, stepped = f"tcp/127.0.0.1:{free_port()}", threading.Event(), list[tuple[int, float]]()
     with ExitStack() as stack:
         address, pid = stack.enter_context(view_of(endpoint))
-        publisher = Publisher(Access(endpoint=endpoint), Place("board", "1"), None, print)
-        publisher.start()
-        thread = threading.Thread(target=_publish, args=(publisher, ending, stepped))
+        session = stack.enter_context(open_client(Access(endpoint=endpoint)))
+        thread = threading.Thread(target=_publish, args=(session, ending, stepped))
         thread.start()
-        stack.callback(publisher.close, 5)
         stack.callback(thread.join)
         stack.callback(ending.set)
         page = Viewed(stack.enter_context(browser()), address, endpoint, pid)
@@ -146,10 +143,9 @@ def _board() -> Iterator[tuple[Viewed, list[tuple[int, float]]]]:
         yield page, stepped
 
 
-def _publish(publisher: Publisher, ending: threading.Event, stepped: list[tuple[int, float]]) -> None:
+def _publish(session: Any, ending: threading.Event, stepped: list[tuple[int, float]]) -> None:
     """Publish 1000 samples a second, and note when their value is another one."""
-    encode, since, level = msgspec.json.Encoder().encode, epoch(), -1
-    publisher.put("run", encode(_run(since)))
+    encode, place, since, level = msgspec.json.Encoder().encode, Place("board", "1"), epoch(), -1
     begin = time.monotonic_ns()
     for number in range(10**9):
         if ending.wait(max(0, (begin + number * ms - time.monotonic_ns()) / second)):
@@ -158,16 +154,18 @@ def _publish(publisher: Publisher, ending: threading.Event, stepped: list[tuple[
         before, level = level, (now - begin) // EVERY % 2
         if level != before:
             stepped.append((level, (since + now) / second))
-        publisher.put("sample", encode(Sample(
+        if number % 1000 == 0:  # the view may have begun to listen only now
+            session.put(place.key("run"), encode(_run(since, number // 1000)))
+        session.put(place.key("sample"), encode(Sample(
             sequence=number, time_ns=now, device="board", number=number, values={"x": level}, world_time_ns=now,
             arrival_time_ns=now, time_source="device",
         )))  # fmt: skip
 
 
-def _run(since: int) -> Run:
+def _run(since: int, number: int) -> Run:
     board = DeviceSignals({"x": Signal("float64", [], "", 0.0, 1.0)}, {}, 1000.0)
     return Run(
-        sequence=0, time_ns=time.monotonic_ns(), agent="board", run="1", epoch_ns=since, clock="real", seed=1,
+        sequence=number, time_ns=time.monotonic_ns(), agent="board", run="1", epoch_ns=since, clock="real", seed=1,
         scenario={}, machine={}, versions={}, devices={"board": board}, state=[], actions=[], demons=[], buttons=[],
         control=False,
     )  # fmt: skip
