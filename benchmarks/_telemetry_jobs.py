@@ -231,13 +231,13 @@ def complete(seconds: float, folder: Path) -> Seen:
 
 def killed(folder: Path, number: int, rng: random.Random, *, with_sender: bool) -> float:
     """Kill a run at a random moment; return how much (s) its recovered recording lacks before that."""
-    path = folder / f"killed-{number}.mcap"
+    path = folder / f"dead-{number}.mcap"
     run = subprocess.Popen(command(record=path), stderr=subprocess.DEVNULL)
     while not path.exists() or path.stat().st_size < 1000:
         time.sleep(0.01)
     time.sleep(rng.uniform(0.2, 2.0))
     sender = subprocess.run(
-        ["pgrep", "-P", str(run.pid)], capture_output=True, text=True, check=False
+        ["/usr/bin/pgrep", "-P", str(run.pid)], capture_output=True, text=True, check=False
     ).stdout.split()
     moment = time.monotonic_ns()
     for process in [run.pid, *map(int, sender if with_sender else [])]:

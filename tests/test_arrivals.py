@@ -76,7 +76,7 @@ def streams(draw: st.DrawFn) -> tuple[Arrivals, Plan, float]:
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_the_newest_sample_is_that_of_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
@@ -87,7 +87,7 @@ def test_the_newest_sample_is_that_of_a_slow_simulation(
 
 
 @given(streams(), MOMENTS)
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_the_next_arrival_is_not_later_than_in_a_slow_simulation(
     stream: tuple[Arrivals, Plan, float], moments: list[float]
 ) -> None:
@@ -98,7 +98,7 @@ def test_the_next_arrival_is_not_later_than_in_a_slow_simulation(
 
 
 @given(streams())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_following_the_arrivals_one_by_one_meets_them_all(stream: tuple[Arrivals, Plan, float]) -> None:
     arrivals, plan, period = stream
     now, met, end = START - 1, set(), START + round(5 * BLOCK * period)
@@ -151,7 +151,7 @@ def test_samples_that_are_very_late_do_not_have_to_be_drawn_all_at_once() -> Non
 
 
 @given(streams(), st.integers(0, 6 * BLOCK))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_was_doubled_and_overtaken_is_counted(stream: tuple[Arrivals, Plan, float], moment: int) -> None:
     arrivals, plan, period = stream
     now = START + round(moment * period)

@@ -272,7 +272,7 @@ def learned_at_once(name: str, form: str, transitions: list[Transition]) -> tupl
 @pytest.mark.parametrize("form", ["compiled", "plain"])
 @pytest.mark.parametrize("name", LEARNERS)
 @given(seed=st.integers(0, 2**32 - 1), pieces=st.integers(1, 3), queue=st.integers(1, 6))
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 def test_interrupting_any_learner_anywhere_changes_nothing(
     name: str, form: str, seed: int, pieces: int, queue: int
 ) -> None:
@@ -291,7 +291,7 @@ def test_interrupting_any_learner_anywhere_changes_nothing(
 
 @pytest.mark.parametrize("name", ["sarsa", "true_online_td", "horde"])
 @given(seed=st.integers(0, 2**32 - 1), sliced=st.booleans())
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_waiting_for_calm_changes_nothing_either(name: str, seed: int, sliced: bool) -> None:
     rng = np.random.default_rng(seed)
     transitions = experience_of(name, "compiled", rng)

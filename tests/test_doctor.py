@@ -290,6 +290,7 @@ def test_the_settings_of_the_interpreter_are_told(monkeypatch: pytest.MonkeyPatc
 # Latency
 
 
+@pytest.mark.slow
 def test_lateness_is_what_the_loop_was_blocked_for() -> None:
     """Sleeps and events on a loop that computes for 8 ms at a time are late by some of that."""
     import asyncio
@@ -311,6 +312,7 @@ def test_lateness_is_what_the_loop_was_blocked_for() -> None:
         assert max(late) > 3 * ms
 
 
+@pytest.mark.slow
 def test_the_number_of_sleeps_and_events_is_as_it_should_be() -> None:
     both = latency.measure({"as it is": Realtime(), "other": Realtime(switch_interval=50 * us)}, 80 * ms)
     assert list(both) == ["as it is", "other"]

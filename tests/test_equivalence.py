@@ -243,7 +243,7 @@ def case_of(mdp: Mdp, learner: LearnerMaker, epsilon: float = 0.2, **settings: o
     steps=st.sampled_from([2, 3, 5, MOST_STEPS]),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_equivalent_orders_learn_the_same_bit_for_bit(
     learner: LearnerMaker, mdp: Mdp, epsilon: float, steps: int, seed: int
 ) -> None:
@@ -254,7 +254,7 @@ def test_equivalent_orders_learn_the_same_bit_for_bit(
 
 
 @given(mdp=mdps(), seed=st.integers(0, 1000), costs=st.lists(st.integers(0, 3 * ms), min_size=4, max_size=4))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_what_the_components_cost_changes_nothing_in_a_world_that_waits(
     mdp: Mdp, seed: int, costs: list[int]
 ) -> None:
@@ -339,7 +339,7 @@ def algorithm_2(case: Case, mdp: Mdp, alpha: float, gamma: float, lambda_: float
 
 
 @given(mdp=mdps(), seed=st.integers(0, 1000), steps=st.sampled_from([2, 5, MOST_STEPS]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_whole_runtime_does_what_algorithm_2_does_in_a_plain_loop(mdp: Mdp, seed: int, steps: int) -> None:
     case = case_of(mdp, sarsa(), seed=seed, limits=Limits(episode_steps=steps))
     expected = algorithm_2(case, mdp, alpha=0.3, gamma=0.9, lambda_=0.9)

@@ -63,7 +63,7 @@ async def read_all(device: FakeDevice, until: int) -> list[Sample]:
 
 
 @given(st.integers(0, second), st.integers(0, 50 * ms))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_without_a_rate_a_world_is_read_as_of_now_less_the_way_to_the_host(wait: int, delay: int) -> None:
     async def main() -> None:
         device = fake(rate=0.0, delay=delay)
@@ -79,7 +79,7 @@ def test_without_a_rate_a_world_is_read_as_of_now_less_the_way_to_the_host(wait:
 
 
 @given(st.lists(st.integers(0, 60 * ms), min_size=1, max_size=8), st.sampled_from([0, DELAY, 25 * ms]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_after_a_busy_time_the_newest_sample_is_the_one_that_a_buffer_would_hold(
     busy: list[int], delay: int
 ) -> None:
@@ -100,7 +100,7 @@ def test_after_a_busy_time_the_newest_sample_is_the_one_that_a_buffer_would_hold
 
 
 @given(st.integers(0, 60 * ms), st.integers(-1, 8))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_read_waits_until_a_sample_is_newer_and_no_longer(busy: int, newer_than: int) -> None:
     async def main() -> None:
         device = fake()
@@ -116,7 +116,7 @@ def test_a_read_waits_until_a_sample_is_newer_and_no_longer(busy: int, newer_tha
 
 
 @given(st.lists(st.integers(0, 35 * ms), max_size=8), st.integers(0, 2**32))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_what_is_read_at_a_time_does_not_depend_on_what_was_read_before(busy: list[int], seed: int) -> None:
     def device() -> FakeDevice:
         return fake(jitter=25 * ms, drop=0.2, duplicate=0.2, corrupt=0.2, late=0.2, lateness=40 * ms)

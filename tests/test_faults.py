@@ -37,6 +37,7 @@ def is_at_rest(joint: FakeDevice) -> bool:
 
 
 @pytest.mark.parametrize("clock_name", ["real", "virtual"])
+@pytest.mark.slow
 def test_a_device_that_raises_once_is_counted_and_the_run_goes_on(clock_name: clock.ClockName) -> None:
     result = run_stopping(joint=with_faults(raise_at=(200 * ms,)), episodes=1, clock_name=clock_name)
     counts = result.device_counters["joint"]
@@ -95,6 +96,7 @@ class IgnoresCancellation(FakeDevice):
 
 
 @pytest.mark.parametrize("clock_name", ["real", "virtual"])
+@pytest.mark.slow
 def test_not_even_a_device_that_ignores_cancellation_hangs_a_run(clock_name: clock.ClockName) -> None:
     good = stopping_joint()
     joint = IgnoresCancellation(good.world)

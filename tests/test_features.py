@@ -41,7 +41,7 @@ def test_one_hot_features_are_one_for_each_value_of_each_signal() -> None:
 
 
 @given(st.floats(-1, 1), st.floats(0, 10), st.integers(1, 7), st.integers(1, 7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_bin_contains_the_values_that_it_is_given(angle: float, speed: float, columns: int, rows: int) -> None:
     coder = Binned(state=CONTINUOUS, bins={"angle": columns, "speed": rows})
     (index,) = indices(coder.encode((angle, speed)))
@@ -64,7 +64,7 @@ def test_a_signal_that_never_changes_has_one_bin_that_is_used() -> None:
 
 @pytest.mark.parametrize("coder", CODERS, ids=lambda coder: type(coder).__name__)
 @given(place=st.integers(0, len(STATES) - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_features_are_as_many_as_declared_within_the_size_and_never_written_to(
     coder: FeatureCoder, place: int
 ) -> None:

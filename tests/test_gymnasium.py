@@ -206,7 +206,7 @@ CARTPOLE = gymnasium_world(environment="CartPole-v1")
 
 
 @given(COMMANDS, st.lists(MOMENTS, min_size=1, max_size=20), st.integers(0, 9))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_sensors_show_the_steps_in_whatever_order_they_are_read(
     commands: list[tuple[int, int]], times: list[int], seed: int
 ) -> None:
@@ -224,7 +224,7 @@ def test_the_sensors_show_the_steps_in_whatever_order_they_are_read(
 
 
 @given(COMMANDS, MOMENTS, MOMENTS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_next_change_is_the_end_of_a_step_until_all_is_over(
     commands: list[tuple[int, int]], now: int, looked: int
 ) -> None:

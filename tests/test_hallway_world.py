@@ -97,7 +97,7 @@ def on_the_edge(values: dict[str, float | bool]) -> bool:
 
 
 @given(COMMANDS, TIMES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_sensors_show_what_the_rules_of_the_world_say(commands: Commands, time: int) -> None:
     agent = world()
     past = [command for command in commands if command[0] <= time]
@@ -111,7 +111,7 @@ def test_the_sensors_show_what_the_rules_of_the_world_say(commands: Commands, ti
 
 
 @given(COMMANDS, st.lists(TIMES, max_size=12), st.integers(0, 99))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_what_is_read_at_a_time_does_not_depend_on_the_order_of_reading(
     commands: Commands, times: list[int], seed: int
 ) -> None:
@@ -123,7 +123,7 @@ def test_what_is_read_at_a_time_does_not_depend_on_the_order_of_reading(
 
 
 @given(COMMANDS, COMMANDS, TIMES)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_a_command_changes_nothing_of_the_past(earlier: Commands, later: Commands, time: int) -> None:
     agent = world()
     give(agent, [command for command in earlier if command[0] <= time])
@@ -133,7 +133,7 @@ def test_a_command_changes_nothing_of_the_past(earlier: Commands, later: Command
 
 
 @given(COMMANDS, TIMES)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_nothing_happens_before_the_next_change_and_something_does_then(commands: Commands, wait: int) -> None:
     agent = world()
     give(agent, commands)
@@ -151,7 +151,7 @@ def test_nothing_happens_before_the_next_change_and_something_does_then(commands
 
 
 @given(COMMANDS, st.lists(st.integers(-1, 1500 * ms), max_size=10))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_end_of_the_wall_is_a_stimulus_that_is_seen_once_and_when_it_is_felt(
     commands: Commands, looks: list[int]
 ) -> None:
@@ -255,7 +255,7 @@ def synchronous(step: float = 0.1) -> SynchronousHallwayWorld:
 
 
 @given(st.lists(st.sampled_from([UP, LEFT]), max_size=20), st.lists(TIMES, min_size=1, max_size=4))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_synchronous_world_does_not_know_the_time(actions: list[int], times: list[int]) -> None:
     slow, fast = synchronous(), synchronous()
     for place, action in enumerate(actions):
@@ -301,7 +301,7 @@ def look(task: HallwayTask, place: World, time: int) -> Outcome:
 
 
 @given(COMMANDS, st.lists(TIMES, max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_rewards_of_an_episode_sum_to_what_it_cost_whenever_one_looks(
     commands: Commands, looks: list[int]
 ) -> None:

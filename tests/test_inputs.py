@@ -69,7 +69,7 @@ def test_a_trace_is_as_computed_by_hand() -> None:
     assert trace.normalised.tolist() == [0.375, 0.265625]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60), st.floats(0.01, 0.99))
 def test_a_trace_is_the_sum_of_its_history_with_powers_of_its_decay(signals: list[float], decay: float) -> None:
     trace = DataTrace([decay])
@@ -144,7 +144,7 @@ def test_traces_come_after_the_signals_normalised_to_the_unit_interval() -> None
     assert seen[2:].tolist() == [0.25, 0.625, 0.34375, 0.3125]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(*[st.floats()] * 4), min_size=1, max_size=40),
     st.sampled_from([0.001, 0.5, 0.9, 0.999]),
@@ -338,7 +338,7 @@ def test_a_coder_that_remembers_behind_the_inputs_is_told_of_the_episode_too() -
     assert begun == [0, 1]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.sampled_from(["observe", "choose", "act", "learn"]), max_size=40))
 def test_an_agent_encodes_each_observation_once_whether_it_closes_a_step_or_refreshes_one(
     steps: Sequence[str],

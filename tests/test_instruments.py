@@ -21,7 +21,7 @@ INTEGERS = st.integers(-(2**62), 2**62)
 
 
 @given(st.lists(INTEGERS, max_size=30), st.integers(1, 10))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_series_keeps_the_newest_and_knows_all(values: list[int], capacity: int) -> None:
     series = Series(capacity)
     for value in values:
@@ -40,7 +40,7 @@ def test_a_series_takes_no_more_memory_when_it_is_written_to() -> None:
 
 
 @given(st.lists(st.integers(0, 10**12), min_size=1, max_size=50))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_summary_gives_the_quantiles(values: list[int]) -> None:
     summary = Summary.of(values, missed=2)
     assert summary.count == len(values)

@@ -28,7 +28,7 @@ def grid_points(signals: int, least: int, most: int) -> st.SearchStrategy[np.nda
     return rows.map(lambda drawn: np.array(drawn) / 4)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=40), st.data())
 def test_the_smallest_are_those_of_a_sort_by_value_and_place(values: list[int], data: st.DataObject) -> None:
     count = data.draw(st.integers(1, len(values)))
@@ -36,7 +36,7 @@ def test_the_smallest_are_those_of_a_sort_by_value_and_place(values: list[int], 
     assert smallest(np.array(values, float), count).tolist() == expected
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(grid_points(3, 4, 30), grid_points(3, 1, 1), st.sampled_from(sorted(NORMS)), st.floats(0.05, 0.9))
 def test_the_active_prototypes_are_the_nearest(
     prototypes: np.ndarray, point: np.ndarray, distance: str, eta: float
@@ -112,7 +112,7 @@ def test_prototypes_at_one_place_are_all_alike() -> None:
     assert features.values.tolist() == [1.0, 1.0, 1.0]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(grid_points(2, 2, 20), grid_points(2, 1, 1), st.floats(0.01, 1.5), st.sampled_from(sorted(NORMS)))
 def test_within_the_radius_is_active(
     prototypes: np.ndarray, point: np.ndarray, radius: float, distance: str

@@ -32,6 +32,7 @@ def python(code: str, *arguments: str, **environment: str) -> subprocess.Complet
     )
 
 
+@pytest.mark.slow
 def test_without_a_compiler_a_run_is_the_same_but_for_rounding_after_one_warning() -> None:
     arguments = ["run", str(SCENARIOS / "predict.toml"), "--json", "-", "--quiet"]
     arguments += [part for setting in SMALL for part in ("--set", setting)]
@@ -78,6 +79,7 @@ def test_within_plain_nothing_is_loaded() -> None:
     assert kernels.load("linear") is not None
 
 
+@pytest.mark.slow
 def test_no_kernel_holds_the_interpreter() -> None:
     """The main thread counts on while another one is in a kernel for long."""
     code = """

@@ -249,7 +249,7 @@ def test_what_functions_of_the_state_give_is_checked(make: Callable[..., Any], n
 
 
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0]), st.floats(0, 1), st.floats(-2, 2)), max_size=12))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_td_credits_every_earlier_state_by_the_rates_of_the_states_between(
     steps: list[tuple[float, float, float]],
 ) -> None:
@@ -311,7 +311,7 @@ def experiences(draw: st.DrawFn) -> list[Transition]:
 
 
 @given(experiences(), st.floats(0.01, 0.3), st.floats(0, 1), st.floats(0, 1))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_sarsa_credits_every_earlier_pair_of_the_episode(
     experience: list[Transition], alpha: float, gamma: float, lambda_: float
 ) -> None:
@@ -323,7 +323,7 @@ def test_sarsa_credits_every_earlier_pair_of_the_episode(
 
 
 @given(experiences(), st.floats(0, 1), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_td_is_sarsa_with_one_action(experience: list[Transition], gamma: float, lambda_: float) -> None:
     for transition in experience:
         transition.action = transition.next_action = 0
@@ -333,7 +333,7 @@ def test_td_is_sarsa_with_one_action(experience: list[Transition], gamma: float,
 
 
 @given(experiences())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_expected_sarsa_under_a_greedy_policy_is_q_learning(experience: list[Transition]) -> None:
     q_learning = QLearning(size=6, actions=2)
     expected = ExpectedSarsa(size=6, actions=2, policy=EpsilonGreedy(epsilon=0.0))

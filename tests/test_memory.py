@@ -63,6 +63,7 @@ def test_check_says_what_an_agent_takes(capsys: pytest.CaptureFixture[str]) -> N
         ("run.trials", "100_000", "run.trials: the agents of 100000 trials take"),
     ],
 )
+@pytest.mark.slow
 def test_check_refuses_what_the_machine_does_not_have(
     key: str, value: str, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

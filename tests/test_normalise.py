@@ -47,7 +47,7 @@ def test_a_masked_signal_keeps_its_last_value_that_was_inside() -> None:
     assert cube.clipped == {"angle": 0, "speed": 0}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.floats(), st.floats()), max_size=20))
 def test_masking_gives_a_point_of_the_cube_whatever_is_read(readings: list[tuple[float, float]]) -> None:
     cube, last = UnitCube(STATE, "mask"), [1.0, 5.0]

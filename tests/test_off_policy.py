@@ -42,7 +42,7 @@ def test_two_steps_by_hand() -> None:
 
 
 @given(st.integers(0, 10**6), st.floats(0, 1), st.floats(0, 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_on_policy_and_without_its_second_weights_it_is_td(seed: int, gamma: float, lambda_: float) -> None:
     rng = np.random.default_rng(seed)
     td = TD(size=6, alpha=0.1, gamma=gamma, lambda_=lambda_)
@@ -79,6 +79,7 @@ def fixed_point(lambda_: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("lambda_", [0.0, 0.6])
+@pytest.mark.slow
 def test_it_finds_the_fixed_point_of_the_target_policy(lambda_: float) -> None:
     rng = np.random.default_rng(1)
     learner = GTD(size=2, target=tuple(TARGET), alpha=0.02, beta=0.02, gamma=GAMMA, lambda_=lambda_)

@@ -31,7 +31,7 @@ def run_paced(
 
 
 @given(WORK, st.integers(1, 20))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_with_skip_every_cycle_begins_on_the_grid(work: list[int], period: int) -> None:
     pacer, deadlines, begun, ended = run_paced(work, period, Overrun.SKIP)
     assert begun == deadlines
@@ -44,7 +44,7 @@ def test_with_skip_every_cycle_begins_on_the_grid(work: list[int], period: int) 
 
 
 @given(WORK, st.integers(1, 20))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_with_catch_up_no_deadline_is_lost(work: list[int], period: int) -> None:
     pacer, deadlines, begun, ended = run_paced(work, period, Overrun.CATCH_UP)
     assert deadlines == [1000 + period * (number + 1) for number in range(len(work))]
@@ -53,7 +53,7 @@ def test_with_catch_up_no_deadline_is_lost(work: list[int], period: int) -> None
 
 
 @given(WORK, st.integers(1, 20), st.sampled_from(Overrun))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_an_overrun_is_a_cycle_that_ends_after_the_next_deadline(
     work: list[int], period: int, overrun: Overrun
 ) -> None:

@@ -28,7 +28,7 @@ class Forbidden(Generator):
 
 
 @given(VALUES, st.floats(0, 1))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_probabilities_are_those_of_the_definition(values: list[float], epsilon: float) -> None:
     best = [value == max(values) for value in values]
     expected = [(1 - epsilon) * is_best / sum(best) + epsilon / len(values) for is_best in best]
@@ -38,7 +38,7 @@ def test_probabilities_are_those_of_the_definition(values: list[float], epsilon:
 
 
 @given(VALUES, st.sampled_from([0.0, 0.1, 1.0]), st.integers(0, 2**32))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_choice_is_reported_with_its_own_probability(values: list[float], epsilon: float, seed: int) -> None:
     policies: tuple[Policy, ...] = (Greedy(), EpsilonGreedy(epsilon=epsilon))
     for policy in policies:

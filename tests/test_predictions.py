@@ -11,6 +11,8 @@ from parts import SCENARIOS
 
 from rtagent.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--set", "devices.arm.arm.duration=60s", "--set", "features.prototypes=200"]
 
 

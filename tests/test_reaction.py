@@ -147,7 +147,7 @@ def expected_of(events: Sequence[Event]) -> tuple[list[int], list[int], int, int
 
 
 @given(EVENTS)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_reactions_are_those_of_a_slow_simulation(events: list[Event]) -> None:
     reactions, unseen = timer(), []
     for place, (kind, value) in enumerate(events):

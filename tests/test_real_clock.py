@@ -70,7 +70,7 @@ def test_sleeps_are_as_long_as_they_should_be_in_relation_to_each_other() -> Non
 
 
 @given(st.integers(0, 300 * us))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_sleep_never_ends_before_its_time(duration: int) -> None:
     async def main() -> int:
         when = now() + duration

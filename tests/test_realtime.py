@@ -241,6 +241,7 @@ def test_a_loop_that_turns_out_to_be_always_busy_loses_its_priority(
         assert "give schedule.period a value" in granted.refused[0]
 
 
+@pytest.mark.slow
 def test_a_loop_of_real_priority_that_computes_all_the_time_loses_it() -> None:
     if not fifo_is_allowed():
         pytest.skip("this machine allows no SCHED_FIFO; what its refusal does is tested above")

@@ -72,7 +72,7 @@ PROTOTYPES = {
 }
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from(sorted(WALKS)),
     st.sampled_from(sorted(PROTOTYPES)),
@@ -84,6 +84,7 @@ PROTOTYPES = {
     st.booleans(),
     st.integers(0, 2**32 - 1),
 )
+@pytest.mark.slow
 def test_the_same_prototypes_are_chosen_with_the_same_values(
     moves: str, places: str, distance: Distance, signals: int, count: int,
     eta: tuple[float, ...], sets: int, proximity: bool, seed: int,
@@ -128,7 +129,7 @@ def test_distances_that_single_precision_cannot_tell_apart_are_told_apart(distan
         assert fast.encode(state).indices.tolist() == slow.encode(state).indices.tolist() == expected
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(1, 20), st.sampled_from([0, 1, 2]), st.integers(0, 2**32 - 1), st.floats(1e-9, 1.0))
 def test_distances_in_single_precision_keep_within_their_bound(
     signals: int, metric: int, seed: int, spread: float
@@ -195,13 +196,14 @@ def tilings(draw: st.DrawFn) -> Tilings:
 edges = st.sampled_from([-1.0, 0.0, 0.5, 1.0, 3.0, 6.0, -0.0, 1e-320, np.nextafter(1.0, 0.0), -np.inf, np.inf, 7.0])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.lists(tilings(), min_size=1, max_size=3).map(tuple),
     st.sampled_from([0, 0, 51, 60, 1000]),
     st.booleans(),
     st.lists(st.tuples(*[edges | st.floats(-1.0, 6.0)] * 3), min_size=1, max_size=15),
 )
+@pytest.mark.slow
 def test_the_same_tiles_are_active(
     layers: tuple[Tilings, ...], size: int, bias: bool, states: list[tuple[float, ...]]
 ) -> None:
@@ -402,6 +404,7 @@ print("numba" in sys.modules)
         ("TileCoding(state=state)", True),
     ],
 )
+@pytest.mark.slow
 def test_the_compiler_is_imported_only_where_a_kernel_is_wanted(made: str, imported: bool) -> None:
     done = subprocess.run([sys.executable, "-c", CODE.format(made)], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(imported)

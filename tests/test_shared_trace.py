@@ -17,6 +17,8 @@ from rtagent.learning.cumulants import Cumulants, Signal, Within
 from rtagent.learning.lazy_trace import LazyTrace, shared_trace
 from rtagent.learning.shared_trace import Precision, SharedTrace, Step, TraceGroup
 
+pytestmark = pytest.mark.slow
+
 SIGNALS = 3
 NOWHERE = FeatureVector(np.zeros(0, dtype=np.intp))
 
@@ -116,7 +118,6 @@ def test_the_fast_form_predicts_as_the_plain_one_does(world: World, precision: P
             assert_alike(fast.weights, plain.weights, tolerance)
 
 
-@pytest.mark.slow
 def test_predictions_stay_the_same_over_100_000_steps() -> None:
     world = World(size=30, active=5, ending=0.001, lambda_=0.95)
     plain, exact = both(world, demons=3)
@@ -131,7 +132,7 @@ def test_predictions_stay_the_same_over_100_000_steps() -> None:
         assert np.abs(short.estimate - plain.estimate).max() <= 1e-4 * largest
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.integers(0, 10**6), st.integers(1, 8), st.booleans(), st.sampled_from([0.0, 0.5, 0.95, 1.0]),
     st.sampled_from([0.0, 0.1, 0.5]),
@@ -173,7 +174,7 @@ def test_each_demon_learns_what_a_learner_of_its_own_does(world: World) -> None:
     assert_alike(fast.weights, expected, 1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.booleans(), st.sampled_from([0.0, 0.9]))
 def test_where_it_is_interrupted_changes_no_bit_and_every_demon_is_before_or_after(
     seed: int, real: bool, lambda_: float

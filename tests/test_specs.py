@@ -34,7 +34,7 @@ def specs(draw: st.DrawFn) -> Spec:
 @example(Spec(low=0.0, high=-0.0), 0)
 @example(Spec(low=2e6), 0)
 @example(Spec(dtype="int", high=-2e6), 0)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_what_a_spec_generates_fits_it(spec: Spec, seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(5):
@@ -58,7 +58,7 @@ def test_both_ends_of_a_discrete_spec_are_generated() -> None:
     st.integers(0, 5),
     st.one_of(st.integers(-12, 12), st.floats(-12, 12), st.sampled_from([math.nan, math.inf])),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_discrete_range_holds_its_whole_numbers_and_nothing_else(low: int, width: int, value: float) -> None:
     spec = Spec(dtype="int", low=low, high=low + width)
     belongs = value in range(low, low + width + 1)
@@ -157,7 +157,7 @@ def test_a_flag_is_true_or_false() -> None:
 
 
 @given(st.floats(-100, 100), st.floats(-10, 0), st.floats(0, 10))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_clipping_gives_the_nearest_value_that_fits(value: float, low: float, high: float) -> None:
     spec = Spec(low=low, high=high)
     clipped = spec.clip(value)

@@ -71,7 +71,7 @@ def story(onset: int, commands: list[tuple[int, int | None]], time: int) -> dict
 
 
 @given(ONSETS, COMMANDS, st.integers(0, 4 * second))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_sensors_show_what_the_rules_of_the_task_say(
     onset: int, commands: list[tuple[int, int | None]], time: int
 ) -> None:
@@ -87,7 +87,7 @@ def test_the_sensors_show_what_the_rules_of_the_task_say(
 
 
 @given(ONSETS, COMMANDS, st.lists(st.integers(0, 4 * second), max_size=12), st.integers(0, 99))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_what_is_read_at_a_time_does_not_depend_on_the_order_of_reading(
     onset: int, commands: list[tuple[int, int | None]], times: list[int], seed: int
 ) -> None:
@@ -99,7 +99,7 @@ def test_what_is_read_at_a_time_does_not_depend_on_the_order_of_reading(
 
 
 @given(ONSETS, COMMANDS, st.integers(0, 4 * second), st.integers(0, 4 * second))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_command_changes_nothing_of_the_past(
     onset: int, commands: list[tuple[int, int | None]], time: int, later: int
 ) -> None:
@@ -112,7 +112,7 @@ def test_a_command_changes_nothing_of_the_past(
 
 
 @given(ONSETS, COMMANDS, st.integers(0, 4 * second), st.integers(0, 4 * second))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_nothing_happens_before_the_next_change(
     onset: int, commands: list[tuple[int, int | None]], first: int, second_: int
 ) -> None:
@@ -128,7 +128,7 @@ def test_nothing_happens_before_the_next_change(
 
 
 @given(ONSETS, COMMANDS, st.lists(st.integers(-1, 4 * second), max_size=10))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_every_stimulus_is_seen_once_whenever_one_looks(
     onset: int, commands: list[tuple[int, int | None]], looks: list[int]
 ) -> None:
@@ -179,7 +179,7 @@ def test_a_new_episode_forgets_the_last() -> None:
 
 
 @given(ONSETS, COMMANDS, st.lists(st.integers(0, 5 * second), max_size=15))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_rewards_of_an_episode_sum_to_what_it_cost_whenever_one_looks(
     onset: int, commands: list[tuple[int, int | None]], looks: list[int]
 ) -> None:

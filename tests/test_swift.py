@@ -148,7 +148,7 @@ def test_two_steps_by_hand() -> None:
 
 @pytest.mark.parametrize("form", SIZES)
 @given(st.integers(0, 10**6), st.booleans(), st.sampled_from([0.0, 0.5, 0.9, 1.0]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_with_steps_that_never_change_it_is_true_online_td(
     form: str, seed: int, real: bool, lambda_: float
 ) -> None:
@@ -162,7 +162,7 @@ def test_with_steps_that_never_change_it_is_true_online_td(
 
 @pytest.mark.parametrize("form", SIZES)
 @given(st.integers(0, 10**6), st.floats(0.01, 1.0), st.floats(0.001, 10.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_prediction_moves_by_at_most_eta_of_its_error(form: str, seed: int, eta: float, alpha: float) -> None:
     learner = make(form, lambda_=0.0, eta=eta, alpha=alpha)
     for transition in transitions(stream(60, real=True, seed=seed)):

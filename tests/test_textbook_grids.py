@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from rtagent.learning import ExpectedSarsa, QLearning, Sarsa
 from rtagent.policy import EpsilonGreedy
 
+pytestmark = pytest.mark.slow
+
 EPSILON = 0.1
 MOVES = ((0, 1), (0, -1), (-1, 0), (1, 0))  # up, down, left, right
 Step = Callable[[int, int], tuple[int, float]]

@@ -22,6 +22,8 @@ from rtagent.features import TileCoding, Tilings
 from rtagent.learning import Sarsa, TrueOnlineSarsa
 from rtagent.policy import Greedy
 
+pytestmark = pytest.mark.slow
+
 STATE = {"position": Spec(low=-1.2, high=0.5), "velocity": Spec(low=-0.07, high=0.07)}
 RUNS, EPISODES = 4, 50
 TOO_LONG = 10_000

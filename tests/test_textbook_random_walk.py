@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from rtagent.experience import Transition
 from rtagent.learning import TD, TrueOnlineTD
 
+pytestmark = pytest.mark.slow
+
 STATES, RUNS, EPISODES = 19, 14, 10
 VALUES = np.arange(-9, 10) / 10
 Curve = tuple[type[TD] | type[TrueOnlineTD], float]

@@ -37,6 +37,7 @@ def mean_return(result: Result) -> float:
 
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize(("preset", "least"), [("reactive", 0), ("standard", 1)])
+@pytest.mark.slow
 def test_reaction_times_are_uniform_over_one_learning_step(preset: str, least: int, delay: int) -> None:
     times = last_reactions(experiment(preset, delay))
     assert len(times) > 290
@@ -50,6 +51,7 @@ def test_without_delay_the_reaction_is_immediate(preset: str) -> None:
 
 
 @pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.slow
 def test_reactive_returns_are_better_than_standard_ones(delay: int) -> None:
     assert mean_return(experiment("reactive", delay)) > mean_return(experiment("standard", delay))
 

@@ -38,7 +38,7 @@ def states() -> st.SearchStrategy[tuple[float, ...]]:
     return st.tuples(*(st.floats(spec.low, spec.high) for spec in STATE.values()))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.lists(states(), min_size=2, max_size=20),
     st.integers(1, 9),
@@ -63,7 +63,7 @@ def test_two_states_share_a_feature_where_they_share_a_tile(
         assert fast.tolist() == slow
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(states(), st.booleans())
 def test_as_many_features_are_active_as_there_are_tilings(state: tuple[float, ...], bias: bool) -> None:
     layers = (Tilings(8, 4), Tilings(4, 2, ("shoulder", "wrist")), Tilings(1, 10, ("elbow",)))

@@ -187,7 +187,8 @@ operations = st.lists(
 
 
 @given(operations)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
+@pytest.mark.slow
 def test_any_sequence_of_steps_leaves_the_same_weights_and_the_same_trace(sequence: list[Any]) -> None:
     lazy, dense = LazyTraces(3, 6, 0.5, linear), DenseTraces(3, 6, 0.5)
     for name, row, active, target, decay in sequence:
@@ -266,6 +267,7 @@ def test_the_compiled_form_is_taken_where_it_is_worth_it(rows: int, size: int, a
         assert isinstance(make_traces(rows, size, 0.0, active), DenseTraces)
 
 
+@pytest.mark.slow
 def test_a_tabular_learner_never_imports_the_compiler() -> None:
     program = """
 import sys

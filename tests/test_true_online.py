@@ -55,7 +55,7 @@ def truncated_lambda_return(
     return early + lambda_ ** (h - k - 1) * n_step(h - k)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 10**6), st.integers(1, 9), st.floats(0.01, 0.5), st.floats(0, 1), st.floats(0, 1), st.booleans()
 )
@@ -97,7 +97,7 @@ def general_online_lambda_return(
 fractions = st.sampled_from([0.0, 0.3, 0.9, 1.0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 10**6),
     st.lists(st.tuples(fractions, fractions), min_size=1, max_size=9),
@@ -161,7 +161,7 @@ def test_a_truncated_episode_bootstraps_and_a_terminated_one_does_not() -> None:
     assert ended.update(step(x, 0.0, y, terminated=True)) == pytest.approx(-1.0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.floats(0.01, 0.5), st.floats(0, 1))
 def test_with_lambda_0_and_one_hot_features_they_are_the_classical_ones(
     seed: int, alpha: float, gamma: float
@@ -180,7 +180,7 @@ def test_with_lambda_0_and_one_hot_features_they_are_the_classical_ones(
     np.testing.assert_allclose(sarsa.weights, true_sarsa.weights)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.floats(0, 1), st.floats(0, 1))
 def test_true_online_sarsa_is_true_online_td_on_pairs_of_state_and_action(
     seed: int, gamma: float, lambda_: float

@@ -99,7 +99,7 @@ def test_a_frequency_is_never_infinite() -> None:
 
 
 @given(st.sampled_from(ALL), st.one_of(st.text(max_size=12), SCHEMA_TEXT))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_text_is_either_finite_or_refused_with_the_error_of_units(quantity: Quantity, text: str) -> None:
     try:
         parsed = quantity.parse(text)
@@ -109,7 +109,7 @@ def test_any_text_is_either_finite_or_refused_with_the_error_of_units(quantity: 
 
 
 @given(st.sampled_from([TIME, BAUD]), st.integers(-(10**18), 10**18))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_whole_quantity_survives_being_written_and_read(quantity: Quantity, value: int) -> None:
     assert quantity.parse(quantity.format(value)) == value
 
@@ -118,7 +118,7 @@ def test_a_whole_quantity_survives_being_written_and_read(quantity: Quantity, va
     st.sampled_from([quantity for quantity in ALL if not quantity.whole]),
     st.floats(allow_nan=False, allow_infinity=False),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_quantity_survives_being_written_and_read(quantity: Quantity, value: float) -> None:
     assert quantity.parse(quantity.format(value)) == value
 
@@ -162,7 +162,7 @@ def test_the_example_in_an_error_can_be_used(quantity: Quantity) -> None:
 @example(TIME, "7\N{GREEK SMALL LETTER MU}s")
 @example(TIME, "5.ms")
 @example(TIME, "ms")
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_schema_accepts_what_is_written_with_a_unit_and_nothing_that_is_refused(
     quantity: Quantity, text: str
 ) -> None:
@@ -191,7 +191,7 @@ def test_times_are_described_with_three_digits(value: int, text: str) -> None:
 
 
 @given(st.integers(-(10**13), 10**13))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_description_is_readable_and_true_to_half_a_percent(value: int) -> None:
     number, unit = describe(value).split()
     assert re.fullmatch(r"-?\d+(\.\d+)?", number)

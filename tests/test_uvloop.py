@@ -36,7 +36,7 @@ async def late(duration: int) -> int:
 
 
 @given(st.integers(0, 3000 * us))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_sleep_never_ends_before_its_time(duration: int) -> None:
     assert on_uvloop(late(duration)) >= 0
 
@@ -54,7 +54,7 @@ def test_short_sleeps_are_shorter_than_those_of_uvloop_itself() -> None:
 
 
 @given(st.lists(st.integers(-1, 5), min_size=1, max_size=30), st.data())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_timers_ring_in_order_of_time_then_of_asking_and_cancelled_ones_do_not(
     delays: list[int], data: st.DataObject
 ) -> None:

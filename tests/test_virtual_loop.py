@@ -42,7 +42,7 @@ async def elapsed(work: Awaitable[object]) -> int:
 
 
 @given(st.lists(st.tuples(DELAYS, st.booleans()), max_size=20))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_timers_fire_in_the_order_of_their_times_then_of_their_setting(timers: list[tuple[int, bool]]) -> None:
     fired: list[tuple[int, int]] = []
 
@@ -61,7 +61,7 @@ def test_timers_fire_in_the_order_of_their_times_then_of_their_setting(timers: l
 
 
 @given(st.lists(st.lists(DELAYS, min_size=1, max_size=6), max_size=8))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_tasks_that_sleep_wake_at_their_times_in_the_order_of_falling_asleep(plans: list[list[int]]) -> None:
     woken: list[tuple[int, int]] = []
 
@@ -81,7 +81,7 @@ def test_tasks_that_sleep_wake_at_their_times_in_the_order_of_falling_asleep(pla
 
 
 @given(st.integers(0, 2 * 10**15), st.integers(0, 10**12), st.integers(0, 10**12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_time_that_was_slept_until_is_reached_to_the_nanosecond(start: int, first: int, second_: int) -> None:
     async def main() -> list[int]:
         times = [now()]
@@ -94,7 +94,7 @@ def test_a_time_that_was_slept_until_is_reached_to_the_nanosecond(start: int, fi
 
 
 @given(st.integers(0, 10**15), st.integers(1, 10**10))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_timeout_comes_to_the_nanosecond(start: int, limit: int) -> None:
     async def main() -> int:
         began = now()
@@ -631,7 +631,7 @@ def test_computing_takes_virtual_time_while_events_fire_at_their_own() -> None:
 
 
 @given(st.lists(st.integers(0, 5 * us), min_size=1, max_size=6))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_computations_occupy_one_processor_one_after_the_other(costs: list[int]) -> None:
     async def main() -> list[int]:
         processor, began = current(), now()

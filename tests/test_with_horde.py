@@ -152,6 +152,7 @@ def test_compiled_control_takes_paired_features_as_its_own(name: str) -> None:
 
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, 12), min_size=len(STREAM), max_size=len(STREAM)))
+@pytest.mark.slow
 def test_where_an_update_is_interrupted_changes_nothing(looks: list[int]) -> None:
     whole, sliced = (WithHorde(make_control(), make_horde()) for _ in range(2))
     for t, count in zip(STREAM, looks, strict=True):

@@ -10,7 +10,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, isfinite
 from typing import ClassVar, Protocol, runtime_checkable
 
 from numpy.random import Generator
@@ -19,7 +19,7 @@ from rtagent.clock import current
 from rtagent.device import Noting
 from rtagent.errors import DeviceError, DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus, Values
-from rtagent.specs import DeviceSpec
+from rtagent.specs import DeviceSpec, Value
 from rtagent.streams import stream
 from rtagent.units import Duration, Frequency, describe
 from rtagent_drivers.arrivals import Arrivals, Disturbance
@@ -260,3 +260,17 @@ class FakeDevice:
     def _corrupted(self, values: Values, sequence: int) -> Values:
         garbage = float("nan") if sequence % 2 else 1e30
         return dict.fromkeys(values, garbage)
+
+
+class LimitedFake(FakeDevice):
+    """A fake of hardware whose driver brings commands within their range, as this does."""
+
+    async def act(self, command: Command) -> Command:
+        """Hand a command to the world; return what became of it."""
+        return await super().act({name: self._within(name, value) for name, value in command.items()})
+
+    def _within(self, name: str, value: Value) -> Value:
+        spec = self.spec.actuators.get(name)
+        if spec is None or not isinstance(value, int | float) or not isfinite(value):
+            return value
+        return spec.clip(value)

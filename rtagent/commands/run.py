@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Coroutine, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
@@ -18,7 +18,9 @@ from rtagent.realtime import Manners, manners
 from rtagent.result import Result, RunError
 from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
-from rtagent.telemetry.wishes import open_telemetry
+
+if TYPE_CHECKING:
+    from rtagent.telemetry.link import Link
 
 
 def run_command(arguments: argparse.Namespace) -> int:
@@ -41,7 +43,7 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     told = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
-    telemetry = open_telemetry(scenario, assembly, latch, arguments.record)
+    telemetry = _open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
         instruments: list[object] = [each for each in (progress, telemetry and telemetry.collector) if each]
@@ -58,7 +60,7 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
         if progress:
             progress.close()
         if telemetry:
-            _tell_refused(telemetry.close("" if result is None else "done" if failure is None else str(failure)))
+            _tell_refused(telemetry.close(_end_in_words(result, failure)))
     if not arguments.quiet:
         print_report(result, out)
     _tell_refused(granted.refused[told:])
@@ -66,6 +68,28 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
     return 0 if failure is None and not result.not_safe and result.learned_all else 1
+
+
+def _end_in_words(result: Result | None, failure: RunError | None) -> str:
+    """Return how a run ended, for its telemetry."""
+    if failure is not None:
+        return str(failure)
+    return "done" if result is not None else "it could not be run"
+
+
+def _open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link | None:
+    """Open telemetry where some is wanted; what it lacks is told, and the run goes on without it."""
+    if not (scenario.model.published or record):
+        return None
+    try:
+        from rtagent.telemetry.wishes import open_telemetry
+
+        return open_telemetry(scenario, assembly, latch, record)
+    except ImportError as error:
+        _tell_refused([f"there is no telemetry: it needs the package {error.name}: pip install {error.name}."])
+    except (OSError, AttributeError) as error:  # no memory to share, or another system
+        _tell_refused([f"there is no telemetry: this machine has not what it needs: {error}."])
+    return None
 
 
 async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO | None) -> Result:

@@ -19,6 +19,8 @@ from rtagent.telemetry.watching import Watched
 
 EVERY = 0.25
 """So often (s) the table is drawn."""
+LEAST, TAKEN = 20, 48
+"""How wide, in columns, what is newest is at least, and all else."""
 ONCE = 1.5
 """How long (s) is listened before what is known is printed once."""
 
@@ -42,9 +44,11 @@ async def _watch(agent: str, access: Access, *, once: bool) -> None:
     try:
         if once:
             await asyncio.wait({listening, connected}, return_when=asyncio.FIRST_COMPLETED)
-            await asyncio.wait({listening}, timeout=ONCE)
+            for _ in range(2):  # a rate is between two looks
+                _drawn(runs, console.width)
+                await asyncio.wait({listening}, timeout=ONCE / 2)
             if not listening.done():
-                console.print(_drawn(runs))
+                console.print(_drawn(runs, console.width))
         else:
             await _draw(console, runs, listening)
     finally:
@@ -56,10 +60,10 @@ async def _watch(agent: str, access: Access, *, once: bool) -> None:
 
 
 async def _draw(console: Console, runs: dict[tuple[str, str], Watched], listening: asyncio.Future[None]) -> None:
-    with Live(_drawn(runs), console=console, auto_refresh=False, screen=console.is_terminal) as live:
+    with Live(_drawn(runs, console.width), console=console, auto_refresh=False, screen=console.is_terminal) as live:
         while not listening.done():
             await asyncio.wait({listening}, timeout=EVERY)
-            live.update(_drawn(runs), refresh=True)
+            live.update(_drawn(runs, console.width), refresh=True)
 
 
 async def _listen(
@@ -71,17 +75,19 @@ async def _listen(
             runs.setdefault((message.agent, message.run), Watched()).take(message)
 
 
-def _drawn(runs: dict[tuple[str, str], Watched]) -> Group:
+def _drawn(runs: dict[tuple[str, str], Watched], width: int) -> Group:
     if not runs:
         return Group(Text("No run is published here. Start one: rtagent run scenarios/stopping.toml"))
     now = asyncio.get_running_loop().time()
-    return Group(*(_table(agent, run, watched, now) for (agent, run), watched in runs.items()))
+    return Group(*(_table(agent, run, watched, now, width) for (agent, run), watched in runs.items()))
 
 
-def _table(agent: str, run: str, watched: Watched, now: float) -> Table:
+def _table(agent: str, run: str, watched: Watched, now: float, width: int) -> Table:
     table = Table(title=f"{agent}  {run}  {watched.state()}", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for name in ("stream", "a second", "all", "missed", "newest"):
-        table.add_column(name, justify="right" if name not in ("stream", "newest") else "left", no_wrap=True)
+    table.add_column("stream", width=11)
+    for name in ("a second", "all", "missed"):
+        table.add_column(name, justify="right", width=9)
+    table.add_column("newest", no_wrap=True, overflow="ellipsis", width=max(LEAST, width - TAKEN))
     for row in watched.rows(now):
         table.add_row(row.stream, f"{row.rate:,.0f}", f"{row.records:,}", f"{row.missed:,}", Text(row.newest))
     return table

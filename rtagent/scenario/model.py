@@ -259,3 +259,9 @@ class ScenarioModel(Table):
     stop: StopTable = Field(default_factory=StopTable)
     watchdog: WatchdogTable = Field(default_factory=WatchdogTable)
     telemetry: TelemetryTable = Field(default_factory=TelemetryTable)
+
+    @property
+    def published(self) -> bool:
+        """Whether others may watch the run."""
+        given = self.telemetry.enabled
+        return self.run.clock == "real" if given is None else given

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -30,12 +30,8 @@ STREAMS = {
 LostTold = tuple[Mapping[str, int], Mapping[str, tuple[Any, Any, int]]]
 
 
-class Cycle(NamedTuple):
-    """The calls of a cycle, the newest predictions where something was learned, and what was lost before it."""
-
-    calls: Calls
-    newest: bytes | None
-    lost: LostTold | None
+Cycle = tuple[Calls, bytes | None, LostTold | None]
+"""The calls of a cycle, the newest predictions where something was learned, and what was lost before it."""
 
 
 class Collector:
@@ -110,7 +106,7 @@ class Collector:
             self._lost.add(calls, newest)
             return
         lost, self._lost = self._lost, None
-        self.buffer.append(Cycle(calls, newest, None if lost is None else lost.told()))
+        self.buffer.append((calls, newest, None if lost is None else lost.told()))
         if self._make_room is not None:
             self._make_room()
 

@@ -51,9 +51,10 @@ class Feeder:
         data = packed(cycle)
         if self._ring.could_hold(data):
             return data
-        lost = Lost(cycle.lost)
-        lost.add(cycle.calls, cycle.newest)
-        return packed(Cycle((), None, lost.told()))
+        calls, newest, before = cycle
+        lost = Lost(before)
+        lost.add(calls, newest)
+        return packed(((), None, lost.told()))
 
     def _work(self) -> None:
         pause = threading.Event()
@@ -65,8 +66,9 @@ class Feeder:
 
 def packed(cycle: Cycle) -> bytes:
     """Return a cycle as bytes."""
-    calls = [(name, _step(*args)) if name == "learned" else (name, args) for name, args in cycle.calls]
-    return pack((cycle.lost, calls, cycle.newest))
+    calls, newest, lost = cycle
+    plain = [(name, _step(*args)) if name == "learned" else (name, args) for name, args in calls]
+    return pack((lost, plain, newest))
 
 
 def _step(transition: Transition, delta: float, time: int) -> tuple[Any, ...]:

@@ -28,12 +28,14 @@ from rtagent.units import second
 
 RING = 8 << 20
 """How many bytes there are between the run and its sender."""
-LETTING_GO = second // 2
-"""How long (ns) the end of a run waits for the sender while that makes no progress."""
+PATIENT, HURRIED = 3.0, 0.4
+"""How long (s) the end of a run waits for a sender that makes no progress: of one that is done, or was stopped."""
 AT_MOST = 30 * second
-"""How long (ns) it waits while the sender does."""
+"""How long (ns) one that is done waits while the sender makes progress."""
 GONE = 0.2
 """How long (s) it may take to be gone, once it has said its last."""
+DONE = "done"
+"""How a run ends that comes to its end."""
 ROOM = 0.0005
 """How often (s) a run under the virtual clock looks whether there is room again."""
 
@@ -59,7 +61,7 @@ class Link:
         self._wishes, self._virtual = wishes, about["clock"] == "virtual"
         self._fd = _shared_file(DATA + RING)
         self._ring = Ring(self._fd, RING)
-        self.closed = False
+        self._closing = self.closed = False
         """Whether the sender has ended what it does, and the recording is complete."""
         self.collector = Collector(about["state"], wishes.buffer, self._make_room if self._virtual else None)
         self._feeder = Feeder(self.collector.buffer, self._ring)
@@ -97,14 +99,19 @@ class Link:
     def _listen(self) -> None:
         """Take what the sender says, until it ends."""
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            said = json.loads(line)
-            if "trouble" in said:
-                self.collector.troubles.append(said["trouble"])
-            elif "command" in said:
-                self._obey(said["command"], said["text"])
-            elif "closed" in said:
-                self.closed = said["closed"]
+        with self._process.stdout as lines:
+            for line in lines:
+                self._hear(json.loads(line))
+        if not self._closing:
+            self.collector.troubles.append("telemetry's own process has ended, and nothing is sent any more.")
+
+    def _hear(self, said: Mapping[str, Any]) -> None:
+        if "trouble" in said:
+            self.collector.troubles.append(said["trouble"])
+        elif "command" in said:
+            self._obey(said["command"], said["text"])
+        elif "closed" in said:
+            self.closed = said["closed"]
 
     @property
     def pid(self) -> int:
@@ -126,15 +133,15 @@ class Link:
 
         Return, in sentences, what went wrong and was not told to the run.
         """
+        patience = PATIENT if how == DONE else HURRIED
+        self._closing = True
         self.collector.end(how)
         if not self._virtual:
-            self._feeder.close(LETTING_GO / second)
+            self._feeder.close(patience)
         assert self._process.stdin is not None
         self._process.stdin.close()
-        end, left = RealClock.now() + AT_MOST, -1
-        while self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
-            left = self._ring.filled
-            self._listener.join(LETTING_GO / second)
+        self._listener.join(patience)
+        self._wait_on(patience if how == DONE else 0.0)
         self._let_go()
         if self._wishes.record and not self.closed and not self.collector.troubles:
             self.collector.troubles.append(
@@ -142,13 +149,18 @@ class Link:
             )
         return list(self.collector.troubles)
 
+    def _wait_on(self, patience: float) -> None:
+        """Wait for a sender for as long as it makes progress."""
+        end, left = RealClock.now() + AT_MOST, -1
+        while patience and self._listener.is_alive() and RealClock.now() < end and left != self._ring.filled:
+            left = self._ring.filled
+            self._listener.join(patience)
+
     def _let_go(self) -> None:
         """See the sender's process off; one that still writes ends by itself, and is not waited for."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE if not self._listener.is_alive() else 0)
         self._process.returncode = 0
-        if not self._listener.is_alive() and self._process.stdout is not None:
-            self._process.stdout.close()
         os.close(self._fd)
 
 

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+from mcap.writer import Writer
+
 from rtagent.clock import RealClock
 from rtagent.telemetry.records import schema_name, schemas
 from rtagent.units import second
@@ -25,8 +27,6 @@ class McapFile:
     """An MCAP file with a channel for each stream; `close_chunk` makes readable what was added."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        from mcap.writer import Writer
-
         self._file = file
         self._writer: Any = Writer(file, chunk_size=4 << 20)
         self._writer.start(profile="rtagent", library="rtagent")

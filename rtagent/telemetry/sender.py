@@ -12,7 +12,7 @@ import queue
 import select
 import signal
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -21,11 +21,13 @@ from rtagent.telemetry import records
 from rtagent.telemetry.connection import Access, TelemetryError
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.publishing import Publisher
-from rtagent.telemetry.recording import Recorder
 from rtagent.telemetry.records import STREAM_OF, Record
 from rtagent.telemetry.ring import Ring
 from rtagent.telemetry.unpacking import Unpacker
 from rtagent.units import second
+
+if TYPE_CHECKING:
+    from rtagent.telemetry.recording import Recorder
 
 ORDERS, ANSWERS = 0, 1
 PAUSE = 0.004
@@ -73,6 +75,8 @@ class Sender:
         if not path:
             return None
         try:
+            from rtagent.telemetry.recording import Recorder
+
             return Recorder(path, _trouble)
         except OSError as error:
             _trouble(f"nothing is recorded: {path}: {error.strerror}. Give another file.")
@@ -102,12 +106,9 @@ class Sender:
     def end(self) -> None:
         """Tell what is missing, close the session, and end the recording."""
         self._emit(self._counters())
-        closed = self._recorder is None or self._recorder.close(CLOSING)
         if self._publisher is not None:
             self._publisher.close(CLOSING)
-        _tell(closed=closed)
-        if not closed and self._recorder is not None:
-            self._recorder.close(WRITING_OUT)
+        _tell(closed=self._recorder is None or self._recorder.close(WRITING_OUT))
 
     def _send_some(self) -> bool:
         """Send what waits, but not too much at once; say whether there was something."""
@@ -153,7 +154,7 @@ class Sender:
     def _counters(self) -> Record:
         lost = {f"lost.{stream}": count for stream, count in self._unpack.lost.items()}
         missing = {} if self._recorder is None else {"not_recorded": self._recorder.not_recorded}
-        values = lost | missing | self._unpack.counters | {"buffered": self._ring.filled}
+        values = lost | missing | {"buffered": self._ring.filled}
         return self._unpack.make(records.Counters, self._now(), values=values)
 
     def _command(self, name: str, text: str) -> str:

@@ -19,8 +19,8 @@ DEVICE_SAMPLE = ("values", "world_time_ns", "arrival_time_ns", "number", "time_s
 class Unpacker:
     """Makes records, numbers them by stream, and knows what of each stream was lost.
 
-    `actions` are the names of the run's actions. What is told of the run as a whole is kept: its `demons`, its
-    `counters`, how it `ended`; `run_changed` says whether there is something new.
+    `actions` are the names of the run's actions. What is told of the run as a whole is kept: its `demons`, how it
+    `ended`; `run_changed` says whether there is something new.
     """
 
     def __init__(self, actions: Sequence[str]) -> None:
@@ -28,7 +28,6 @@ class Unpacker:
         self._order: Any = ()
         self._precision = "float32"
         self.demons: list[records.DemonAbout] = []
-        self.counters: dict[str, int] = {}
         self.ended = ""
         self.run_changed = False
         self._next: Counter[str] = Counter()
@@ -81,10 +80,6 @@ class Unpacker:
         self._order, self._precision = np.argsort(places), precision
         self.demons = [records.DemonAbout(*about[number]) for number in self._order]
         self.run_changed = True
-        return iter(())
-
-    def _counted(self, counters: dict[str, int]) -> Iterator[Record]:
-        self.counters = counters
         return iter(())
 
     def _run_ended(self, how: str) -> Iterator[Record]:

@@ -16,14 +16,11 @@ from rtagent.telemetry.keys import Place, as_chunk
 from rtagent.telemetry.link import Link, Wishes, time_of_day
 
 
-def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link | None:
-    """Return the telemetry of a run, or None where nothing is to be published or recorded."""
+def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link:
+    """Return the telemetry of a run, published as its scenario says, and recorded in the file `record`."""
     table = scenario.model.telemetry
-    published = scenario.model.run.clock == "real" if table.enabled is None else table.enabled
-    if not (published or record):
-        return None
     wishes = Wishes(
-        access_of(table) if published else None,
+        access_of(table) if scenario.model.published else None,
         os.path.abspath(record) if record else "",  # noqa: PTH100  # a path's resolve would follow links
         table.buffer,
         _commands(assembly, latch) if table.control else {},

@@ -64,6 +64,7 @@ def settings(arm: EmulatedArm, file: Path) -> dict[str, Any]:
     return {"port": arm.port, "joints": joints, "calibration": str(file), "rate": 100.0, **patient}
 
 
+@pytest.mark.slow
 async def test_an_arm_is_calibrated_by_hand_and_then_driven_by_it(tmp_path: Path) -> None:
     script = {
         "angle is to be 0": {"shoulder": [0.1]},

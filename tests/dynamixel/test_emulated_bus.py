@@ -434,7 +434,7 @@ def test_joints_that_cannot_be_on_one_bus_are_refused() -> None:
 
 
 @pytest.mark.parametrize("robot", list(ROBOTS))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     baud=st.sampled_from([57_600, 115_200, 1_000_000, 2_000_000]),
     delay=st.integers(0, 250).map(lambda count: 2 * us * count),

@@ -85,6 +85,7 @@ def test_ping(old: Client, new: Client) -> None:
         assert client.ping(6)[1] == sdk.COMM_RX_TIMEOUT
 
 
+@pytest.mark.slow
 def test_broadcast_ping(new: Client) -> None:
     found, result = new.broadcastPing()  # it waits for 800 ms in any case
     assert result == sdk.COMM_SUCCESS

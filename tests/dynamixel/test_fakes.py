@@ -77,6 +77,7 @@ async def until(device: Device, name: str, value: float) -> Sample:
     raise AssertionError(f"{name} is {sample.values[name]}, not {value}")
 
 
+@pytest.mark.slow
 def test_both_levels_obey_alike() -> None:
     """The same orders take both to the same places, under the same limits, in the joints' own coordinates."""
 
@@ -172,7 +173,7 @@ def test_faults_on_the_wire_reach_the_driver() -> None:
 
 def test_an_emulated_bus_that_does_not_begin_says_why() -> None:
     fake = FakeSettings(wire=('{"kind": "tired"}',))
-    with pytest.raises(DeviceError, match=r"the emulated bus did not begin: .*kind"):
+    with pytest.raises(DeviceError, match=r"the emulator did not begin: .*kind"):
         run("wire", arm("wire", MINI, protocol=2, fake=fake).open())
 
 
@@ -204,9 +205,10 @@ def test_a_fake_refuses_what_the_driver_refuses(level: str, settings: dict[str, 
 OWNER = """
 from rtagent import clock
 from rtagent_drivers.dynamixel import fakes
+from rtagent_drivers.emulation import starting
 from rtagent_drivers.dynamixel.settings import Joint
 import os, signal
-fakes.LINGER = "300ms"
+starting.LINGER = "300ms"
 arm = fakes.on_wire(port="auto", joints={"elbow": Joint(2, "XL330-M288")}, protocol=2)
 clock.run(arm.open())
 print(arm.last_resort().settings["port"], flush=True)

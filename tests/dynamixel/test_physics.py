@@ -55,7 +55,7 @@ def moved(body: Body, history: list[tuple[int, Drive, bool]]) -> tuple[Motion, i
     return motion, now
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(bodies, histories, st.lists(st.integers(0, 12 * second), min_size=2, max_size=8))
 def test_the_order_of_looking_changes_nothing(body: Body, history: list, times: list[int]) -> None:
     motion, last = moved(body, history)
@@ -64,7 +64,6 @@ def test_the_order_of_looking_changes_nothing(body: Body, history: list, times: 
     assert {time: motion.at(last + time) for time in sorted(times, reverse=True)} == forwards
 
 
-@settings(deadline=None)
 @given(bodies, histories, st.integers(0, 3 * second))
 def test_it_never_jumps_and_stays_between_its_stops(body: Body, history: list, time: int) -> None:
     motion, _ = moved(body, history)
@@ -75,7 +74,6 @@ def test_it_never_jumps_and_stays_between_its_stops(body: Body, history: list, t
     assert abs(after.temperature - before.temperature) <= HEATING * 1e-3 / COOLING_TIME + 1e-9
 
 
-@settings(deadline=None)
 @given(st.floats(-REACH, REACH), speeds, surges)
 def test_a_way_takes_as_long_as_the_trapezoid_of_the_textbook(goal: float, speed: float, surge: float) -> None:
     body = Body(inertia=0.001)  # so light that its torque sets no limit
@@ -90,7 +88,6 @@ def test_a_way_takes_as_long_as_the_trapezoid_of_the_textbook(goal: float, speed
     assert motion.at(round(takes * 0.9 * second)).position != goal or way < 1e-6
 
 
-@settings(deadline=None)
 @given(bodies, speeds, places, st.floats(0.0, 1.0))
 def test_it_turns_back_without_a_jump_of_its_velocity(body: Body, speed: float, goal: float, when: float) -> None:
     motion = Motion(body, 0.0, 0, Approach(1.5, speed, 20.0))
@@ -101,7 +98,7 @@ def test_it_turns_back_without_a_jump_of_its_velocity(body: Body, speed: float, 
     assert motion.at(now + ms).velocity == pytest.approx(before.velocity, abs=20.0 * 1e-3 + 1e-6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(bodies, st.floats(-REACH, REACH))
 def test_a_limp_arm_only_loses_energy_and_comes_to_rest(body: Body, position: float) -> None:
     motion = Motion(body, position, 0)
@@ -116,7 +113,6 @@ def test_a_limp_arm_only_loses_energy_and_comes_to_rest(body: Body, position: fl
     assert held or abs(rest.position) == pytest.approx(REACH, abs=1e-6)
 
 
-@settings(deadline=None)
 @given(st.floats(0.2, 0.9), st.integers(1, 1000))
 def test_what_holds_a_weight_warms_up_by_the_square_of_its_load(load: float, seconds: int) -> None:
     motion = Motion(Body(gravity=load), 0.0, 0, Turn(0.0, 10.0))

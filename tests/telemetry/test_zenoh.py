@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +22,7 @@ from rtagent.telemetry.control import command
 from rtagent.telemetry.keys import place_of
 
 PAGE = (ROOT / "docs" / "telemetry.md").read_text()
+SS = shutil.which("ss") or "ss"
 pytestmark = pytest.mark.slow
 
 
@@ -60,7 +64,7 @@ def test_late_joiners_get_the_newest_of_each_stream_and_its_schema(run: tuple[Ac
 
 def test_nothing_listens_beyond_the_loopback(run: tuple[Access, Any, str]) -> None:
     port = run[0].endpoint.rsplit(":", 1)[1]
-    done = subprocess.run(["ss", "-ltnH"], capture_output=True, text=True, check=True)
+    done = subprocess.run([SS, "-ltnH"], capture_output=True, text=True, check=True)
     mine = [line.split()[3] for line in done.stdout.splitlines() if line.split()[3].endswith(f":{port}")]
     assert mine == [f"127.0.0.1:{port}"]
 
@@ -119,10 +123,10 @@ def test_a_router_that_dies_is_replaced() -> None:
     with running(there):
         with connected(there) as session:
             until(lambda: living(session), "the run")
-            found = subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True, check=True).stdout
+            found = subprocess.run([SS, "-ltnpH"], capture_output=True, text=True, check=True).stdout
         port = there.endpoint.rsplit(":", 1)[1]
         (line,) = [line for line in found.splitlines() if f":{port} " in line]
-        subprocess.run(["kill", "-9", re.findall(r"pid=(\d+)", line)[0]], check=True)
+        os.kill(int(re.findall(r"pid=(\d+)", line)[0]), signal.SIGKILL)
         with connected(there) as session:
             until(lambda: living(session), "the run at another router")
 
@@ -130,7 +134,7 @@ def test_a_router_that_dies_is_replaced() -> None:
 def test_what_the_page_says_about_other_machines_works(tmp_path: Any) -> None:
     there, other = access(), access().endpoint.replace("tcp/127.0.0.1", "tls/localhost")
     setup, watch = blocks("sh")
-    subprocess.run(["bash", "-euc", setup], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run([str(shutil.which("bash")), "-euc", setup], cwd=tmp_path, check=True, capture_output=True)
     table = blocks("toml")[0].replace("tcp/127.0.0.1:7447", there.endpoint).replace("7448", other.rsplit(":", 1)[1])
     (tmp_path / "open.toml").write_text((ROOT / "scenarios" / "stopping.toml").read_text() + table)
 

@@ -5,34 +5,22 @@ Both take the driver's settings, and obey its limits by its own code.
 
 from __future__ import annotations
 
-import asyncio
-import json
-import subprocess
-import sys
-import weakref
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite
-from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
-from uuid import uuid4
 
 from numpy.random import Generator
 
 from rtagent.device import LastResort
-from rtagent.errors import DeviceError
 from rtagent.experience import Command, Stimulus, Values
-from rtagent.specs import Value
 from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
 from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
-from rtagent_drivers.fake import FakeDevice, Sampling
+from rtagent_drivers.emulation.starting import Emulation
+from rtagent_drivers.fake import LimitedFake, Sampling
 
 EMULATOR = "rtagent_drivers.arduino.emulated.pty"
-LINGER = "2s"
-"""So long the emulated board outlives a process that died: long enough to be made safe from outside."""
 
 
 class BoardWorld:
@@ -91,54 +79,18 @@ def _speed(servo: Servo) -> float:
     return servo.max_velocity / (servo.range[1] - servo.range[0]) if servo.max_velocity else FASTEST
 
 
-class FakeBoard(FakeDevice):
-    """A board in the process; as the driver, it brings commands within their range."""
-
-    async def act(self, command: Command) -> Command:
-        """Hand a command to the world; return what became of it."""
-        return await super().act({name: self._within(name, goal) for name, goal in command.items()})
-
-    def _within(self, name: str, goal: Value) -> Value:
-        spec = self.spec.actuators.get(name)
-        if spec is None or not isinstance(goal, int | float) or not isfinite(goal):
-            return goal
-        return spec.clip(goal)
-
-
-def in_process(**given: Any) -> FakeBoard:
+def in_process(**given: Any) -> LimitedFake:
     """Return a board with the driver's settings that needs no wire, and works under the virtual clock."""
     settings = Settings.of(**given)
     world = BoardWorld(settings, BODIES[settings.body]())
-    return FakeBoard(world, Sampling(settings.hertz), settings.fake.faults)
-
-
-class Emulation:
-    """An emulated board in a process of its own; it begins when it is needed, and ends with this object."""
-
-    def __init__(self, settings: Settings) -> None:
-        self.link = Path(gettempdir()) / f"rtagent-{uuid4().hex}"
-        self._command = _command(settings, self.link)
-        self._process: subprocess.Popen[str] | None = None
-
-    async def begin(self) -> None:
-        """Begin it; raise `DeviceError` with what it says where it ends at once."""
-        if self._process is None:
-            self._process = await asyncio.to_thread(_started, self._command)
-            weakref.finalize(self, _end, self._process)
-
-    def tell(self, **order: Any) -> None:
-        """Give it an order while it runs (see `rtagent emulate handi --help`)."""
-        if self._process is None or self._process.stdin is None:
-            raise DeviceError("the emulated board does not run yet: open the device first.")
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
+    return LimitedFake(world, Sampling(settings.hertz), settings.fake.faults)
 
 
 class EmulatedArduino(Arduino):
     """The driver on an emulated board."""
 
     def __init__(self, settings: Settings) -> None:
-        self.emulation = Emulation(settings)
+        self.emulation = Emulation(EMULATOR, _arguments(settings))
         super().__init__(replace(settings, port=str(self.emulation.link)))
 
     async def open(self) -> None:
@@ -151,7 +103,7 @@ class EmulatedArduinoWithServos(ArduinoWithServos):
     """The driver on an emulated board that moves."""
 
     def __init__(self, settings: Settings) -> None:
-        self.emulation = Emulation(settings)
+        self.emulation = Emulation(EMULATOR, _arguments(settings))
         super().__init__(replace(settings, port=str(self.emulation.link)))
 
     async def open(self) -> None:
@@ -170,36 +122,11 @@ def on_wire(**given: Any) -> Arduino:
     return EmulatedArduinoWithServos(settings) if settings.servos else EmulatedArduino(settings)
 
 
-def _command(settings: Settings, link: Path) -> list[str]:
-    board = "glovi" if settings.body == "glove" else "handi"
-    command = [sys.executable, "-m", EMULATOR, board, "--link", str(link), "--linger", LINGER]
-    command += ["--body", settings.body]
-    command += ["--format", settings.format, "--rate", f"{settings.hertz!r}Hz", "--baud", f"{settings.bits}baud"]
-    command += ["--drift", repr(settings.fake.drift)]
+def _arguments(settings: Settings) -> list[str]:
+    told = ["glovi" if settings.body == "glove" else "handi", "--body", settings.body]
+    told += ["--format", settings.format, "--rate", f"{settings.hertz!r}Hz", "--baud", f"{settings.bits}baud"]
+    told += ["--drift", repr(settings.fake.drift)]
     if not settings.layout.legacy:
         servos = ",".join(str(servo.pin) for servo in settings.servos.values())
-        command += ["--channels", ",".join(settings.pins), "--servos", servos]
-    return command + [each for fault in settings.fake.wire for each in ("--fault", fault)]
-
-
-def _started(command: Sequence[str]) -> subprocess.Popen[str]:
-    """Return the emulator's process once its link is there; raise `DeviceError` with what it says where it ends."""
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(  # noqa: S603  # our own module, with our own Python
-        command,
-        stdin=pipe,
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        start_new_session=True,  # Ctrl-C is not for it
-    )
-    assert process.stdout is not None, "it was asked for"
-    if not process.stdout.readline():
-        _, said = process.communicate()
-        raise DeviceError(f"the emulated board did not begin: {said.strip()}")
-    return process
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.terminate()
-    process.communicate()
+        told += ["--channels", ",".join(settings.pins), "--servos", servos]
+    return told + [each for fault in settings.fake.wire for each in ("--fault", fault)]

@@ -18,7 +18,7 @@ from rtagent_drivers.dynamixel.servo import Servo
 from rtagent_drivers.dynamixel.timing import transaction
 from rtagent_drivers.dynamixel.values import pack, to_raw, to_si, unpack
 
-TRIES = 8
+TRIES = 25
 """A machine that is busy with starting up may let an answer wait for some time."""
 
 RATE_MARGIN = 1.1

@@ -16,6 +16,7 @@ from rtagent_drivers.arduino.emulated.faults import Fault, Trouble
 from rtagent_drivers.arduino.layouts import HANDI_PINS, LAYOUTS, Format
 from rtagent_drivers.arduino.messages import Hello, Safety, ServoState
 from rtagent_drivers.arduino.settings import BITS_A_BYTE, FRAME_BYTES
+from rtagent_drivers.emulation.command import Log
 
 READING_TIMES = [116 * us, 60 * us, 32 * us, 18 * us]
 """What a channel takes with each clock of the converter; the slowest is used that leaves time for the rest."""
@@ -25,8 +26,6 @@ ENCODING, SENDING = 130 * us, 16 * us
 
 PULSES = 544, 2400
 """The pulses (µs) at the ends of a servo's range."""
-
-Log = Callable[[Mapping[str, Any]], Any]
 
 
 @dataclass(frozen=True)

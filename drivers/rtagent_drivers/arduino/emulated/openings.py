@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
 
-from rtagent_drivers.dynamixel.emulated.terminal import Terminal
+from rtagent_drivers.emulation.terminal import Terminal
 
 IN_CLOSE, IN_OPEN = 0x18, 0x20
 EVENT = Struct("iIII")

@@ -8,29 +8,26 @@ It prints the name of the link once programs can open it, and takes orders on it
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 
 from rtagent.clock import RealClock
-from rtagent.errors import RtagentError, SpecError
+from rtagent.errors import SpecError
 from rtagent.units import BAUD, FREQUENCY, TIME
 from rtagent_drivers.arduino.bodies import BODIES, Body
-from rtagent_drivers.arduino.emulated.board import GLOVE, HAND, EmulatedBoard, Log, Make
+from rtagent_drivers.arduino.emulated.board import GLOVE, HAND, EmulatedBoard, Make
 from rtagent_drivers.arduino.emulated.faults import Fault
 from rtagent_drivers.arduino.emulated.openings import WatchedTerminal
 from rtagent_drivers.arduino.layouts import LAYOUTS
-from rtagent_drivers.dynamixel.emulated.process import Emulator, Way
-from rtagent_drivers.dynamixel.emulated.terminal import Terminal
+from rtagent_drivers.emulation.command import Log, add_options, emulate, log_to, say
+from rtagent_drivers.emulation.process import Emulator, Way
+from rtagent_drivers.emulation.terminal import Terminal
 
 USAGE = """\
 kinds of faults: silent, corrupt, cut, noise (with a probability); jitter (with a delay); deaf; unplug. All take
@@ -46,13 +43,7 @@ orders on the standard input, one a line:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Emulate a board until a signal comes; return the exit code."""
-    given = _parser().parse_args(arguments)
-    try:
-        _emulate(given)
-    except (RtagentError, OSError) as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    return 0
+    return emulate(_parser().parse_args(arguments), _emulate)
 
 
 def handi(arguments: Sequence[str]) -> int:
@@ -66,17 +57,15 @@ def glovi(arguments: Sequence[str]) -> int:
 
 
 def _emulate(given: argparse.Namespace) -> None:
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, _end)
     terminal = WatchedTerminal(given.link)
-    with _log(given.log) as log, contextlib.suppress(SystemExit):
+    with log_to(given.log) as log:
         now = RealClock.now()
         body = BODIES[given.body or ("hand" if given.board == "handi" else "glove")]()
         body.begin(now, np.random.default_rng(given.seed))
         basics = _make(given), body, now, partial(_line_baud, terminal), log
         board = ResetByOpening(*basics, terminal.was_opened) if given.auto_reset else EmulatedBoard(*basics)
         way = Way(linger=given.linger)
-        Emulator(board, partial(obey, board), terminal, way).run(lambda: _say(str(given.link)))
+        Emulator(board, partial(obey, board), terminal, way).run(lambda: say(str(given.link)))
 
 
 class ResetByOpening(EmulatedBoard):
@@ -176,7 +165,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("board", choices=["handi", "glovi"])
-    parser.add_argument("--link", type=Path, required=True, help="the name under which programs find the board")
+    add_options(parser)
     parser.add_argument("--format", choices=list(LAYOUTS), default="rtagent", help="which sketch it runs")
     parser.add_argument("--body", choices=list(BODIES), help="what is on its pins")
     parser.add_argument("--channels", metavar="PINS", help="the pins of its channels, such as 2,A2,A3")
@@ -187,30 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--boot", type=TIME.parse, default=0, help="how long it takes to start, such as 1s")
     parser.add_argument("--auto-reset", action="store_true", help="opening the port resets it")
     parser.add_argument("--seed", type=int, default=0, help="of what happens on its pins")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="what happens goes there, a JSON object a line")
-    parser.add_argument("--fault", action="append", default=[], metavar="JSON", help="may be repeated")
-    parser.add_argument("--linger", type=TIME.parse, help="end so long after the standard input has ended")
     return parser
-
-
-@contextlib.contextmanager
-def _log(path: Path | None) -> Iterator[Log | None]:
-    """Give what writes to the log, a line at a time, so that it can be read meanwhile."""
-    if path is None:
-        yield None
-        return
-    with path.open("a", buffering=1, encoding="utf-8") as file:
-        write: Callable[[str], Any] = file.write
-        yield lambda what: write(json.dumps(what) + "\n")
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(0)
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rtagent.errors import SpecError
@@ -16,11 +16,10 @@ from rtagent_drivers.dynamixel.emulated.servo import Servo
 from rtagent_drivers.dynamixel.emulated.supply import Supply
 from rtagent_drivers.dynamixel.packets import BROADCAST, Instruction, Request
 from rtagent_drivers.dynamixel.protocol2 import combined
+from rtagent_drivers.emulation.command import Log
 
 PATIENCE = 20 * ms
 """A packet whose rest does not come within this time is forgotten."""
-
-Log = Callable[[dict[str, Any]], None]
 
 
 class EmulatedBus:

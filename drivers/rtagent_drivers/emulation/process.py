@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from rtagent.clock.real import RealClock, TimerfdSelector, fine_timer_slack
 from rtagent.errors import RtagentError
 from rtagent.units import second, us
-from rtagent_drivers.dynamixel.emulated.terminal import Terminal
+from rtagent_drivers.emulation.terminal import Terminal
 
 SPIN = 50 * us
 """The last stretch before something is due is spent looking at the clock, with true timing."""
