@@ -57,6 +57,9 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of each trial")
     run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
     run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
+    run.add_argument(
+        "--trace", metavar="FILE", help="write a timeline there, for https://ui.perfetto.dev (.gz: compressed)"
+    )
     _add_data(run)
     _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")

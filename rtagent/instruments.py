@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rtagent.experience import Command, Observation, Stimulus, Transition
+from rtagent.learn import Where
 from rtagent.reaction import Reaction
 from rtagent.recorder import EpisodeRecord
 from rtagent.schedule import Component
@@ -37,7 +38,10 @@ class Instrument:
         """A transition was learned."""
 
     def component(self, component: Component, start: int, end: int) -> None:
-        """A component ran."""
+        """A component ran; learning in slices or elsewhere is told by `learned_for` instead."""
+
+    def learned_for(self, start: int, end: int, where: Where) -> None:
+        """A slice of learning ran on the loop, or a whole transition elsewhere."""
 
     def reacted(self, reaction: Reaction) -> None:
         """A stimulus got its first reaction."""

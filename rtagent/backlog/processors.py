@@ -69,7 +69,7 @@ class LearnerThread:
         return self.update
 
     def _learn(self, update: Update) -> BaseException | None:
-        began = self._backlog.desk.clock.now()
+        began = update.began = self._backlog.desk.clock.now()
         occupy(update.cost)
         try:
             while not self._closing and not self._step(update):
@@ -121,7 +121,8 @@ class SecondProcessor:
         if self.update is None and self._backlog.queue:
             self.update = self._backlog.take(sliced=False)
             self.taken += 1
-            self._until = self._backlog.desk.clock.now() + self.update.cost
+            self.update.began = self._backlog.desk.clock.now()
+            self._until = self.update.began + self.update.cost
             self._timer = self._loop.call_later(self.update.cost / 1e9, self._finish, self.update)
 
     def next_event(self, now: int) -> int | None:

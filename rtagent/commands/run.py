@@ -9,6 +9,7 @@ from collections.abc import Coroutine, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from rtagent import __version__
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
@@ -18,12 +19,15 @@ from rtagent.realtime import Manners, manners
 from rtagent.result import Result, RunError
 from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
+from rtagent.timeline import Timeline
+from rtagent.timeline import write as write_trace
 
 
 def run_command(arguments: argparse.Namespace) -> int:
     """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
     try:
-        _check_output(arguments.json)
+        _check_output("--json", arguments.json)
+        _check_output("--trace", arguments.trace)
         scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
     except ScenarioError as error:
@@ -36,12 +40,13 @@ def run_command(arguments: argparse.Namespace) -> int:
 def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: argparse.Namespace) -> int:
     out = sys.stderr if arguments.json == "-" else sys.stdout
     progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
+    timeline = Timeline() if arguments.trace else None
     told = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        run = assembly.run([progress] if progress else [], habits, latch)
+        run = assembly.run([each for each in (progress, timeline) if each is not None], habits, latch)
         result = granted.run(
             _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
         )
@@ -59,7 +64,24 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     if failure is not None:
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
-    return 0 if failure is None and not result.not_safe and result.learned_all else 1
+    traced = timeline is None or _write_trace(timeline, scenario, result, arguments.trace)
+    return 0 if failure is None and not result.not_safe and result.learned_all and traced else 1
+
+
+def _write_trace(timeline: Timeline, scenario: Scenario, result: Result, path: str) -> bool:
+    """Write the timeline, tell what it lacks, and say whether it could be written."""
+    about = {"scenario": scenario.name, "clock": result.clock, "seed": result.seed, "rtagent": __version__}
+    try:
+        write_trace(timeline, path, about)
+    except OSError as error:
+        sys.stderr.write(f"--trace {path}: {error.strerror or error}: nothing to rely on was written there.\n")
+        return False
+    if timeline.dropped:
+        sys.stderr.write(
+            f"note: {path} lacks the oldest {timeline.dropped:,} things that happened: "
+            "it holds what came last; trace a shorter run to have all.\n"
+        )
+    return True
 
 
 async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO | None) -> Result:
@@ -74,13 +96,13 @@ def _tell_refused(sentences: Sequence[str]) -> int:
     return len(sentences)
 
 
-def _check_output(path: str | None) -> None:
+def _check_output(option: str, path: str | None) -> None:
     """Refuse, before anything runs, a place that results cannot be written to."""
-    if path in (None, "-"):
+    if path is None or (path == "-" and option == "--json"):
         return
-    target = Path(str(path))
-    if target.is_dir() or not target.parent.is_dir():
-        raise ScenarioError([f"--json {path}: give a file in a folder that exists."])
+    target = Path(path)
+    if not path or target.is_dir() or not target.parent.is_dir():
+        raise ScenarioError([f"{option} {path}: give a file in a folder that exists."])
 
 
 def _print_failure(failure: RunError) -> None:
