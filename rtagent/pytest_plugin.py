@@ -43,7 +43,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[LINES] = []
     config.addinivalue_line(
         "markers",
-        f"{MARKER}(rounds=10, warm_up=1, stolen=0.05, confidence=0.95, processor=None, least=10): "
+        f"{MARKER}(rounds=10, warm_up=1, stolen=0.1, confidence=0.95, processor=None, least=10): "
         f"measures in real time; runs only with {OPTION}",
     )
 

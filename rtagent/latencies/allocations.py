@@ -22,10 +22,10 @@ from rtagent.latencies.counts import Counts
 from rtagent.latencies.subject import Subject
 from rtagent.runtime import Runtime
 
-SKIPPED, COUNTED = 25, 20
+SKIPPED, COUNTED = 23, 8
 """Cycles that fill caches and free lists, the last `SETTLING` of them traced already, and cycles that count."""
 
-SETTLING = 5
+SETTLING = 3
 BOUNDARY = Runtime._tell.__code__
 """What is called once a cycle, after the act."""
 
@@ -107,7 +107,6 @@ class _Counter:
     def traced(self, frame: FrameType, event: str, arg: Any) -> Any:
         """Note what the instruction before took."""
         self._note(frame.f_code)
-        self._before = sys.getallocatedblocks()
         return self.traced
 
     def _count_cycle(self) -> None:
@@ -118,6 +117,8 @@ class _Counter:
 
     def _note(self, code: CodeType) -> None:
         grown = sys.getallocatedblocks() - self._before
-        if grown > 0:
-            self._cycle[self._code] += grown
+        if grown:
+            if grown > 0:
+                self._cycle[self._code] += grown
+            self._before = sys.getallocatedblocks()
         self._code = code

@@ -32,7 +32,7 @@ class Ratio:
 
     def __str__(self) -> str:
         sure = f" ({self.low:.3g} to {self.high:.3g})" if self.high > self.low else ""
-        return f"{self.name}: {self.ratio:.3g} ×{sure}, {describe(self.after)} to {describe(self.before)}"
+        return f"{self.name}: {self.ratio:.3g} ×{sure}, {describe(self.after)} against {describe(self.before)}"
 
 
 @dataclass(frozen=True)

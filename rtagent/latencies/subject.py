@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from rtagent import clock
 from rtagent.clock import ClockName
-from rtagent.errors import SpecError
+from rtagent.errors import ClockError, SpecError
 from rtagent.realtime import manners
 from rtagent.result import Result
 from rtagent.runtime import Habits
@@ -35,6 +36,7 @@ class Subject:
         assemble(model)  # so that all its problems are told now
 
         def run() -> Result:
+            refuse_running_loop()
             assembly = assemble(model)
             with manners(assembly.realtime, model.model.run.clock, busy=assembly.never_sleeps) as granted:
                 return granted.run(assembly.run([], Habits(granted.calm, granted.place_learner)))
@@ -47,7 +49,12 @@ class Subject:
         """Return what `runs` makes anew for each run: a coroutine such as `rtagent.run(…)`."""
         if clock_name not in ("real", "virtual"):
             raise SpecError(f"the clock {clock_name!r} is none: use 'real' or 'virtual'.")
-        return cls(name or getattr(runs, "__name__", "the run"), clock_name, lambda: clock.run(runs(), clock_name))
+
+        def run() -> Result:
+            refuse_running_loop()
+            return clock.run(runs(), clock_name)
+
+        return cls(name or getattr(runs, "__name__", "the run"), clock_name, run)
 
     def called(self, name: str) -> Subject:
         """Return the same under another name."""
@@ -58,3 +65,9 @@ class Subject:
         if self.path is None:
             raise SpecError(f"{self.name} is no scenario, and this needs one: give the path of a file.")
         return Subject.scenario(self.path, *self.overrides, *overrides)
+
+
+def refuse_running_loop() -> None:
+    """Refuse to measure within an event loop; raise `ClockError`."""
+    if asyncio._get_running_loop() is not None:
+        raise ClockError("an event loop is running already: measure in a test that is not async.")

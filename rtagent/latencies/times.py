@@ -87,11 +87,11 @@ class Measured:
         """
         __tracebackhide__ = True
         times = self[name]
-        times.need(max(1, least), f"a limit of {describe(limit)}")
         unanswered = self.result.reaction_time.missed if name == "reaction" else 0
         late = sum(value > limit for value in times.values)
         if late or unanswered > missed:
             raise AssertionError(self._said(times, limit, late, unanswered))
+        times.need(max(1, least), f"a limit of {describe(limit)}")
 
     def _said(self, times: Times, limit: int, late: int, missed: int) -> str:
         lines = []
