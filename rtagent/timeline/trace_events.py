@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import json
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -50,10 +50,10 @@ class TraceEvents:
 
     def __init__(self, timeline: Timeline) -> None:
         self._timeline, self._tracks = timeline, Tracks()
-        times = [row[1] for row in timeline.rows] + [fault.time for fault in timeline.faults]
-        times += [episode.began for episode in timeline.episodes]
-        times += [timeline.began[2]] if timeline.began else []
-        self.first = min(times, default=0)
+        rows = (row[1] for row in timeline.rows)
+        faults = (fault.time for fault in timeline.faults)
+        episodes = [episode.began for episode in timeline.episodes]
+        self.first = min(chain(rows, faults, episodes, (timeline.began or ())[2:]), default=0)
         self._last = max((row[2] for row in timeline.rows), default=self.first)
 
     def __iter__(self) -> Iterator[Event]:
