@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rtagent.schedule import Component, Schedule
     from rtagent.specs import DeviceSpec, Spec
     from rtagent.supervision import Supervision
+    from rtagent.telemetry.subscribe import subscribe
     from rtagent.units import ms, second, us
 
 __version__ = "0.1.0"
@@ -48,6 +49,7 @@ _HOMES = {
     "register": "plugins",
     "run": "lifecycle",
     "second": "units",
+    "subscribe": "telemetry.subscribe",
     "us": "units",
 }
 
@@ -75,6 +77,7 @@ __all__ = [
     "register",
     "run",
     "second",
+    "subscribe",
     "us",
 ]
 

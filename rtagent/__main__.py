@@ -38,6 +38,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_list(commands)
     _add_stop(commands)
+    _add_watch(commands)
+    _add_recordings(commands)
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
@@ -60,6 +62,7 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument(
         "--trace", metavar="FILE", help="write a timeline there, for https://ui.perfetto.dev (.gz: compressed)"
     )
+    run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")
     _add_data(run)
     _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
@@ -85,6 +88,39 @@ def _add_stop(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         parser.add_argument("scenarios", nargs="+", metavar="scenario")
         _add_set(parser)
         parser.set_defaults(command=command)
+
+
+def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    watch = commands.add_parser("watch", help="show what goes on in runs, from any other terminal")
+    watch.add_argument("run", nargs="?", default="*", metavar="AGENT", help="those of this agent only")
+    watch.add_argument("--once", action="store_true", help="print what is known of each run once, and end")
+    add_access(watch)
+    watch.set_defaults(command=_watch)
+
+
+def _add_recordings(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    info = commands.add_parser("info", help="say what is in a recording")
+    info.add_argument("recording", help="what `rtagent run --record` has written")
+    info.add_argument("--json", action="store_true", help="print JSON instead")
+    info.set_defaults(command=_info)
+    export = commands.add_parser("export", help="write a recording as tables")
+    export.add_argument("recording")
+    export.add_argument("--to", choices=("csv", "npz"), required=True, help="a folder of CSV files, or arrays")
+    export.add_argument("--out", metavar="PATH", help="the folder or file, in place of the recording's own name")
+    export.set_defaults(command=_export)
+    recover = commands.add_parser("recover", help="save what can be read of a recording that was cut off")
+    recover.add_argument("recording")
+    recover.add_argument("--to", metavar="FILE", help="where to, in place of NAME.recovered.mcap")
+    recover.set_defaults(command=_recover)
+
+
+def add_access(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where telemetry is, and as whom to connect."""
+    parser.add_argument("--scenario", metavar="FILE", help="connect as its table telemetry says")
+    parser.add_argument("--endpoint", metavar="ENDPOINT", help="connect there, such as tls/robot.example:7448")
+    parser.add_argument("--user", metavar="NAME", help="connect as this user")
+    parser.add_argument("--password-file", metavar="FILE", help="with the password in this file")
+    parser.add_argument("--ca", metavar="FILE", help="trust the authority with this certificate (PEM)")
 
 
 def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -171,6 +207,30 @@ def _stop(arguments: argparse.Namespace) -> int:
     from rtagent.commands.stop import stop_command
 
     return stop_command(arguments)
+
+
+def _watch(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.watch import watch_command
+
+    return watch_command(arguments)
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import info_command
+
+    return info_command(arguments)
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import export_command
+
+    return export_command(arguments)
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.recordings import recover_command
+
+    return recover_command(arguments)
 
 
 def _rearm(arguments: argparse.Namespace) -> int:

@@ -84,6 +84,14 @@ class Foreseeing(Protocol):
 
 
 @runtime_checkable
+class Pressable(Protocol):
+    """A device that those who watch a run may press, where its telemetry lets them."""
+
+    def press(self) -> None:
+        """Be pressed for a moment, now; called on the event loop."""
+
+
+@runtime_checkable
 class Counting(Protocol):
     """A device that counts what it dropped, retried or found damaged."""
 

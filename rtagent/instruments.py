@@ -22,6 +22,18 @@ class Instrument:
     A hook that raises is removed for the rest of the run, and logged.
     """
 
+    def run_began(self, report: Callable[[str, str], None]) -> None:
+        """A run began; `report(source, message)` tells it of a fault that does not end it, on its event loop."""
+
+    def trial_began(self, trial: int, agent: Any) -> None:
+        """A trial began, with this `rtagent.Agent`."""
+
+    def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        """A cycle was over: all its calls at once, as names of hooks with their arguments, before they are made.
+
+        For an instrument that has no time for a call each. The list may be kept, but not changed.
+        """
+
     def episode_began(self, trial: int, episode: int, time: int) -> None:
         """An episode began."""
 
@@ -53,6 +65,8 @@ class Instrument:
         """An episode ended."""
 
 
+NOTED = ("observed", "chose", "acted", "learned", "component", "reacted")
+"""The hooks whose calls are kept until the act is over, as those of `learned_for` are where it is heard singly."""
 HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
 
 
@@ -65,19 +79,24 @@ class Hooks:
             name: [hook for instrument in instruments if (hook := _own_hook(instrument, name)) is not None]
             for name in HOOKS
         }
-        self.heard = frozenset(name for name, calls in self._calls.items() if calls)
+        heard = {name for name, calls in self._calls.items() if calls}
+        self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
+        self._heard_singly = not heard.isdisjoint((*NOTED, "learned_for"))
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
-
-    def note(self, name: str, *args: Any) -> None:
-        """Keep a call for later; worth it only where `name` is among `heard`."""
-        self.noted.append((name, args))
+        self.note = self.noted.append
+        """Keeps a call, the name and its arguments, for later; worth it only where the name is among `heard`."""
 
     def tell(self) -> None:
         """Make the calls that were kept, in order."""
-        for name, args in self.noted:
-            self.call(name, *args)
+        noted = self.noted.copy()
         self.noted.clear()
+        if self._calls["noted"]:
+            known = [call for call in noted if call[0] in NOTED] if self._calls["learned_for"] else noted
+            self.call("noted", known)
+        if self._heard_singly:
+            for name, args in noted:
+                self.call(name, *args)
 
     def call(self, name: str, *args: Any) -> None:
         """Call the hook `name` of every instrument, now."""

@@ -144,6 +144,7 @@ class _Life:
             refuse_stuck(devices, schedule, costs, plan)
 
     async def live(self) -> Result:
+        self._hooks.call("run_began", self._report)
         work = asyncio.ensure_future(self._work())
         try:
             with _signals(self._latch), _heard(self._latch) as stopped:
@@ -177,6 +178,7 @@ class _Life:
         for trial, agent in enumerate(agents):
             self._agents.append(agent)
             runtime = self._running = self._runtime(agent, trial)
+            self._hooks.call("trial_began", trial, agent)
             for episode in range(self._plan.episodes):
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)

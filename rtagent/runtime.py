@@ -248,7 +248,7 @@ class Runtime:
         if waiting:
             self._recorder.queue_age.record(self.work.oldest_age(now))
         if "observed" in self._heard:
-            self._hooks.note("observed", observation, stimuli)
+            self._hooks.note(("observed", (observation, stimuli)))
 
     async def _choose(self) -> None:
         if self._in_one_piece:
@@ -261,7 +261,7 @@ class Runtime:
         self._reactions.chose()
         end = self._done(CHOOSE)
         if "chose" in self._heard:
-            self._hooks.note("chose", decision.action, decision.probability, end)
+            self._hooks.note(("chose", (decision.action, decision.probability, end)))
 
     async def _act(self) -> None:
         start, decision, sent, delivered = self._mark, self._agent.chosen, {}, True
@@ -279,10 +279,10 @@ class Runtime:
             self._agent.acted()
             reactions = self._reactions.acted(decision.action, start, end)
             if "acted" in self._heard:
-                self._hooks.note("acted", decision.action, sent, start, end)
+                self._hooks.note(("acted", (decision.action, sent, start, end)))
             if reactions and "reacted" in self._heard:
                 for reaction in reactions:
-                    self._hooks.note("reacted", reaction)
+                    self._hooks.note(("reacted", (reaction,)))
         self._tell()
 
     async def _learn(self) -> None:
@@ -310,17 +310,17 @@ class Runtime:
     def _learned(self, transition: Transition, delta: float) -> None:
         end = self._done(LEARN) if self._in_one_piece else self._now()
         if "learned" in self._heard:
-            self._hooks.note("learned", transition, delta, end)
+            self._hooks.note(("learned", (transition, delta, end)))
 
     def _learned_for(self, start: int, end: int, where: Where) -> None:
-        self._hooks.note("learned_for", start, end, where)
+        self._hooks.note(("learned_for", (start, end, where)))
 
     def _done(self, component: Component) -> int:
         """Note that a component has ended; it began where the last one did, or the cycle."""
         start, end = self._mark, self._now()
         self._record_component[component](end - start)
         if "component" in self._heard:
-            self._hooks.note("component", component, start, end)
+            self._hooks.note(("component", (component, start, end)))
         self._mark = end
         return end
 

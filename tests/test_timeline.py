@@ -5,9 +5,9 @@ from __future__ import annotations
 import gzip
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jsonschema
 import pytest
@@ -17,11 +17,12 @@ from parts import SCENARIOS, run_stopping
 
 from rtagent import ms
 from rtagent.__main__ import main
+from rtagent.instruments import NOTED
 from rtagent.learn import Learn, Where
 from rtagent.result import Result
 from rtagent.schedule import ACT, PRESETS
 from rtagent.timeline import Timeline, write
-from rtagent.timeline.recording import MOST_FAULTS, MOST_LABELS, OTHER
+from rtagent.timeline.recording import MOST_FAULTS, MOST_LABELS, OTHER, Kind
 from rtagent.timeline.rows import Rows
 from rtagent.timeline.tracks import Lanes
 from rtagent_drivers.fake import Sampling
@@ -150,6 +151,20 @@ def test_an_arrow_leads_from_each_stimulus_to_the_act_that_reacted(tmp_path: Pat
         assert act["ts"] - start["ts"] == pytest.approx(time / 1e3)
         whole = next(e for e in reading.enclosing(start) if e["name"] == "emergency")
         assert whole["dur"] == pytest.approx(time / 1e3)
+
+
+def test_who_hears_all_calls_at_once_knows_nothing_of_slices() -> None:
+    class AtOnce:
+        names: ClassVar[set[str]] = set()
+
+        def noted(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+            self.names |= {name for name, _ in calls}
+
+    run_stopping(
+        "interruptible", episodes=1, learn=Learn(slice=5 * ms), instruments=[AtOnce(), timeline := Timeline()]
+    )
+    assert AtOnce.names == set(NOTED)
+    assert any(label.name == "learn" and label.kind is Kind.SLICE for label in timeline.labels)
 
 
 def test_samples_are_shown_where_they_arrived(tmp_path: Path) -> None:

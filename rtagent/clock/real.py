@@ -29,6 +29,8 @@ class RealClock:
     now: Callable[[], int] = staticmethod(time.monotonic_ns)
     computed: Callable[[], int] = staticmethod(time.thread_time_ns)
     """How long (ns) this thread has kept a processor busy."""
+    since_1970: Callable[[], int] = staticmethod(time.time_ns)
+    """The time of the day, which may be set while a run goes on: for what people read, in ns."""
 
     def suspended(self) -> int:
         """Return how long (ns) the machine has been suspended since it was started, where that can be known."""

@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Coroutine, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rtagent import __version__
 from rtagent.commands.overrides import overrides
@@ -22,12 +22,16 @@ from rtagent.scenario import Assembly, Scenario, assemble, load
 from rtagent.timeline import Timeline
 from rtagent.timeline import write as write_trace
 
+if TYPE_CHECKING:
+    from rtagent.telemetry.link import Link
+
 
 def run_command(arguments: argparse.Namespace) -> int:
     """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
     try:
         _check_output("--json", arguments.json)
         _check_output("--trace", arguments.trace)
+        _check_recording(arguments.record)
         scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
     except ScenarioError as error:
@@ -44,9 +48,11 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     told = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
+    telemetry = _open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        run = assembly.run([each for each in (progress, timeline) if each is not None], habits, latch)
+        heard = (progress, timeline, telemetry and telemetry.collector)
+        run = assembly.run([each for each in heard if each is not None], habits, latch)
         result = granted.run(
             _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
         )
@@ -58,6 +64,8 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
     finally:
         if progress:
             progress.close()
+        if telemetry:
+            _tell_refused(telemetry.close(_end_in_words(result, failure)))
     if not arguments.quiet:
         print_report(result, out)
     _tell_refused(granted.refused[told:])
@@ -84,6 +92,28 @@ def _write_trace(timeline: Timeline, scenario: Scenario, result: Result, path: s
     return True
 
 
+def _end_in_words(result: Result | None, failure: RunError | None) -> str:
+    """Return how a run ended, for its telemetry."""
+    if failure is not None:
+        return str(failure)
+    return "done" if result is not None else "it could not be run"
+
+
+def _open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link | None:
+    """Open telemetry where some is wanted; what it lacks is told, and the run goes on without it."""
+    if not (scenario.model.published or record):
+        return None
+    try:
+        from rtagent.telemetry.wishes import open_telemetry
+
+        return open_telemetry(scenario, assembly, latch, record)
+    except ImportError as error:
+        _tell_refused([f"there is no telemetry: it needs the package {error.name}: pip install {error.name}."])
+    except (OSError, AttributeError) as error:  # no memory to share, or another system
+        _tell_refused([f"there is no telemetry: this machine has not what it needs: {error}."])
+    return None
+
+
 async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO | None) -> Result:
     from rtagent.commands.keyboard import with_keyboard  # needs what not every system that can run fakes has
 
@@ -103,6 +133,16 @@ def _check_output(option: str, path: str | None) -> None:
     target = Path(path)
     if not path or target.is_dir() or not target.parent.is_dir():
         raise ScenarioError([f"{option} {path}: give a file in a folder that exists."])
+
+
+def _check_recording(path: str | None) -> None:
+    """Refuse, before anything runs, to record over something, or where nothing can be."""
+    if path is None:
+        return
+    if Path(path).exists():
+        raise ScenarioError([f"--record {path}: that is there already, and would be lost: give another name."])
+    if not Path(path).absolute().parent.is_dir():
+        raise ScenarioError([f"--record {path}: give a file in a folder that exists."])
 
 
 def _print_failure(failure: RunError) -> None:

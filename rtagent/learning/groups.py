@@ -51,7 +51,7 @@ class DemonGroup:
         self._rates = Rates(first.continuation.gamma, first.continuation.per, first.method.lambda_)
         self._discount = Discount(first.continuation.gamma, first.continuation.per)
         self._normalised = first.normalised
-        self._watched = np.array(watched, dtype=np.intp)
+        self.watched = np.array(watched, dtype=np.intp)
         self._verifier = Verifier(len(watched))
         self._predicted: FloatArray | None = None
         self._spans = np.array([demon.span for demon in demons]).T
@@ -91,7 +91,7 @@ class DemonGroup:
         yield from self.learned.updating(step)
         if self._rupee is not None:
             self._add_rupee(self._rupee, step)
-        if len(self._watched):
+        if len(self.watched):
             yield from self._verify(step)
 
     def _step(self, t: Transition, signals: FloatArray) -> Step:
@@ -102,12 +102,12 @@ class DemonGroup:
 
     def _verify(self, step: Step) -> Generator[None, None, None]:
         if self._predicted is not None:
-            cumulant = self.learned.cumulant[self._watched].astype(float)
+            cumulant = self.learned.cumulant[self.watched].astype(float)
             yield from self._verifier.add(self._predicted, cumulant, step.gamma, step.last)
-        self._predicted = None if step.last else self.learned.estimate[self._watched].astype(float)
+        self._predicted = None if step.last else self.learned.estimate[self.watched].astype(float)
 
     def _add_rupee(self, rupee: Rupee, step: Step) -> None:
-        delta = self.learned.delta[self._watched].astype(float)
+        delta = self.learned.delta[self.watched].astype(float)
         rupee.add(step.features.indices, numbers_of(step.features), delta, step.decay)
 
     def errors(self) -> Iterator[tuple[str, PredictionErrors]]:

@@ -62,10 +62,11 @@ class Horde:
             _check_policies(self.demons, actions)
         _claim(self.demons, size, precision)
         cumulants = [self._signals.place(demon) for demon in self.demons]
-        self._places = _grouped(self.demons)
+        self.places = _grouped(self.demons)
+        """The places of the demons of each group."""
         self.groups: list[DemonGroup] = []
         measured_places = _measured(self.demons, measured)
-        for places in self._places:
+        for places in self.places:
             members = [self.demons[place] for place in places]
             table = Cumulants([cumulants[place] for place in places], precision)
             watched = [number for number, place in enumerate(places) if place in measured_places]
@@ -73,7 +74,7 @@ class Horde:
             self.groups.append(DemonGroup(members, table, size, active, precision, below, watched, rupee))
         self._by_name = {
             self.demons[place].name: (group, number)
-            for group, places in zip(self.groups, self._places, strict=True)
+            for group, places in zip(self.groups, self.places, strict=True)
             for number, place in enumerate(places)
         }
 
@@ -142,7 +143,7 @@ class Horde:
 
     def _gathered(self, parts: Iterable[Any]) -> FloatArray:
         gathered = np.empty(len(self))
-        for places, part in zip(self._places, parts, strict=True):
+        for places, part in zip(self.places, parts, strict=True):
             gathered[places] = part
         return gathered
 

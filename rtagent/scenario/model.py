@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
@@ -153,6 +154,51 @@ class RealtimeTable(Table):
         return interval
 
 
+class TelemetryTable(Table):
+    """Who may watch a run, and how; and whether they may interfere."""
+
+    enabled: bool | None = Field(None, description="whether it is published; else a run under the real clock is")
+    endpoint: str = Field("tcp/127.0.0.1:7447", description="the router; one of this machine is started if need be")
+    listen: tuple[str, ...] = Field((), description="where a router that is started listens too")
+    control: bool = Field(False, description="whether those who watch may stop it, annotate it and press buttons")
+    buffer: int = Field(5000, ge=1, description="so many cycles may wait to be sent")
+    user: str = Field("", description="as whom to connect")
+    password_file: str = Field("", description="a file with the user's password")
+    ca: str = Field("", description="the certificate of the authority that signed the router's (PEM)")
+    certificate: str = Field("", description="the certificate of a router that is started (PEM)")
+    key: str = Field("", description="its private key (PEM)")
+    users: str = Field("", description="who may connect to it: a file with user:password on each line")
+
+    @field_validator("endpoint", "listen")
+    @classmethod
+    def _endpoints(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        for endpoint in (given,) if isinstance(given, str) else given:
+            if not re.fullmatch(r"(tcp|tls|quic)/[^/]+:\d+([?#].*)?", endpoint):
+                raise ValueError(
+                    f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447 or tls/0.0.0.0:7448"
+                )
+        return given
+
+    @model_validator(mode="after")
+    def _closed(self) -> TelemetryTable:
+        open_to_others = [each for each in (self.endpoint, *self.listen) if not _is_loopback(each)]
+        listening = [each for each in open_to_others if each in self.listen]
+        if listening and not (self.users and self.certificate and self.key):
+            raise ValueError(
+                f"{listening[0]} is open to other machines: give users, certificate and key, and write tls/"
+            )
+        if plain := [each for each in open_to_others if each.startswith("tcp/")]:
+            raise ValueError(
+                f"{plain[0]} would send everything in the clear to other machines: write tls/ or quic/"
+            )
+        return self
+
+
+def _is_loopback(endpoint: str) -> bool:
+    host = endpoint.split("/", 1)[1].split("?")[0].rpartition(":")[0].strip("[]")
+    return host in ("localhost", "::1") or host.startswith("127.")
+
+
 class PluginTable(BaseModel):
     """A table whose further keys are the settings of the plug-in that it names."""
 
@@ -212,3 +258,10 @@ class ScenarioModel(Table):
     policy: TypedTable | None = None
     stop: StopTable = Field(default_factory=StopTable)
     watchdog: WatchdogTable = Field(default_factory=WatchdogTable)
+    telemetry: TelemetryTable = Field(default_factory=TelemetryTable)
+
+    @property
+    def published(self) -> bool:
+        """Whether others may watch the run."""
+        given = self.telemetry.enabled
+        return self.run.clock == "real" if given is None else given

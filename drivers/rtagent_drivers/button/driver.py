@@ -105,6 +105,12 @@ class Button:
         """Return the presses with after < time <= until (ns), in order, also those too short to be seen."""
         return self._presses.stimuli(after, until)
 
+    def press(self) -> None:
+        """Be pressed and released, now, by somebody who watches the run."""
+        if self._opened:
+            self.hear(True)
+            self.hear(False)
+
     # What its source tells
 
     def hear(self, pressed: bool, sent_at: int | None = None) -> None:

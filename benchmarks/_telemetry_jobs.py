@@ -1,0 +1,271 @@
+"""Runs whose telemetry is measured, and what watches, stops and kills them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtagent import clock
+from rtagent.clock import RealClock
+from rtagent.errors import RtagentError
+from rtagent.instruments import Hooks
+from rtagent.latch import Latch
+from rtagent.scenario import assemble, load
+from rtagent.telemetry.connection import Access
+from rtagent.telemetry.describing import about_run
+from rtagent.telemetry.keys import Place
+from rtagent.telemetry.link import Link, Wishes
+from rtagent.telemetry.reading import Scan
+from rtagent.telemetry.recovering import recover
+
+SCENARIO = Path(__file__).parent / "_telemetry.toml"
+ENDPOINT = "tcp/127.0.0.1:7457"
+WARM_UP = 500
+"""So many first cycles of a block are left out: the sender and its router start meanwhile."""
+
+SUBSCRIBER = """
+import sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
+session = zenoh.open(config)
+subscriber = session.declare_subscriber("rtagent/**")
+print("ready", flush=True)
+for sample in subscriber:
+    pass
+"""
+
+COUNTER = """
+import asyncio, contextlib, json, sys
+from rtagent.telemetry.connection import Access
+from rtagent.telemetry.subscribe import subscribe
+
+async def main():
+    seen, missed, lost, ended = {}, {}, {}, None
+    access = Access(endpoint=sys.argv[1])
+    told = lambda: print("ready", flush=True)
+    async with contextlib.aclosing(subscribe(access=access, connected=told)) as messages:
+        async for message in messages:
+            stream, record = message.stream, message.record
+            first = record.sequence if stream not in seen else 0
+            seen[stream] = seen.get(stream, 0) + 1
+            missed[stream] = missed.get(stream, 0) + message.missed + first
+            if stream == "counters":
+                lost = {k[5:]: v for k, v in record.values.items() if k.startswith("lost.")}
+                if ended:
+                    break
+            if stream == "run" and record.ended:
+                ended = record.ended
+    print(json.dumps({"seen": seen, "missed": missed, "lost": lost}))
+
+asyncio.run(main())
+"""
+
+
+@dataclass
+class Block:
+    """How late cycles began, and what telemetry cost in each of them, in µs."""
+
+    lateness: NDArray[np.float64]
+    cost: NDArray[np.float64]
+
+
+class Stopwatch:
+    """Times how late the loop wakes, and what it spends in hooks, a cycle at a time."""
+
+    def __init__(self) -> None:
+        self.lateness: list[int] = []
+        self.costs: list[int] = []
+        self._spent = 0
+        self.own = int(np.median([-time.monotonic_ns() + time.monotonic_ns() for _ in range(1000)]))
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[None]:
+        sleep, begin, tell = RealClock.sleep_until, Hooks.__init__, Hooks.tell
+
+        async def timed_sleep(clock: RealClock, when: int) -> None:
+            await sleep(clock, when)
+            self.lateness.append(time.monotonic_ns() - when)
+
+        def timed_begin(hooks: Hooks, *args: Any) -> None:
+            begin(hooks, *args)
+            note = hooks.note
+
+            def timed_note(call: Any) -> None:
+                start = time.monotonic_ns()
+                note(call)
+                self._spent += time.monotonic_ns() - start - self.own
+
+            hooks.note = timed_note
+
+        def timed_tell(hooks: Hooks) -> None:
+            start = time.monotonic_ns()
+            tell(hooks)
+            self.costs.append(self._spent + time.monotonic_ns() - start - self.own)
+            self._spent = 0
+
+        RealClock.sleep_until, Hooks.tell = timed_sleep, timed_tell  # type: ignore[method-assign]
+        Hooks.__init__ = timed_begin  # type: ignore[method-assign]
+        try:
+            yield
+        finally:
+            RealClock.sleep_until, Hooks.tell = sleep, tell  # type: ignore[method-assign]
+            Hooks.__init__ = begin  # type: ignore[method-assign]
+
+
+def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
+    """Run the agent for some seconds, with its telemetry as the variant says."""
+    scenario = load(SCENARIO, ["run.episodes=100000"])
+    assembly, watch, latch = assemble(scenario), Stopwatch(), Latch()
+    with contextlib.ExitStack() as stack:
+        link = None
+        if variant != "off":
+            if variant in ("watched", "stopped", "killed"):
+                stack.enter_context(subscriber(variant))
+            link = Link(
+                about_run(scenario, assembly),
+                Place("benchmark", f"{variant}-{number}"),
+                Wishes(Access(endpoint=ENDPOINT), str(folder / f"{variant}-{number}.mcap")),
+            )
+        stack.enter_context(watch.running())
+
+        async def main() -> None:
+            asyncio.get_running_loop().call_later(seconds, latch.trip, "limit", "the block is over")
+            if link is not None and variant == "sender stopped":
+                asyncio.get_running_loop().call_later(1.0, os.kill, link.pid, signal.SIGSTOP)
+            with contextlib.suppress(RtagentError):
+                await assembly.run([link.collector] if link is not None else [], latch=latch)
+
+        clock.run(main())
+    if link is not None:
+        if variant == "sender stopped":
+            os.kill(link.pid, signal.SIGCONT)
+        link.close("done")
+    return Block(*(np.array(values[WARM_UP:]) / 1e3 for values in (watch.lateness, watch.costs)))
+
+
+@contextlib.contextmanager
+def subscriber(variant: str) -> Iterator[None]:
+    """Have a plain program listen, that is stopped or killed once it does, where the variant says so."""
+    endpoint = Access(endpoint=ENDPOINT)
+    from rtagent.telemetry.connection import open_client
+
+    with open_client(endpoint):  # so that there is a router
+        process = subprocess.Popen([sys.executable, "-c", SUBSCRIBER, ENDPOINT], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+    if variant == "stopped":
+        process.send_signal(signal.SIGSTOP)
+    if variant == "killed":
+        process.kill()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def command(*settings: str, record: Path | None = None) -> list[str]:
+    """Return the command line of a run."""
+    given = [
+        part
+        for each in (f"telemetry.endpoint={ENDPOINT}", "run.episodes=100000", *settings)
+        for part in ("--set", each)
+    ]
+    recorded = ["--record", str(record)] if record else []
+    return [sys.executable, "-m", "rtagent", "run", str(SCENARIO), "--quiet", *given, *recorded]
+
+
+@dataclass
+class Seen:
+    """How many records there were of all streams, and how many of them nobody accounts for."""
+
+    records: int
+    unaccounted_at_subscriber: int
+    unaccounted_in_recording: int
+    lost: int
+
+
+def complete(seconds: float, folder: Path) -> Seen:
+    """Run at 1 kHz beside a subscriber, and compare what it and the recorder have with what was told to be lost."""
+    from rtagent.telemetry.connection import open_client
+
+    path = folder / "complete.mcap"
+    with open_client(Access(endpoint=ENDPOINT)):
+        counter = subprocess.Popen([sys.executable, "-c", COUNTER, ENDPOINT], stdout=subprocess.PIPE, text=True)
+        assert counter.stdout is not None
+        counter.stdout.readline()
+    run = subprocess.Popen(command("schedule.period=1ms", record=path), stderr=subprocess.DEVNULL)
+    time.sleep(seconds)
+    run.send_signal(signal.SIGINT)
+    run.wait(20)
+    told = json.loads(counter.communicate(timeout=20)[0])
+    counts: dict[str, int] = {}
+    numbers: dict[str, int] = {}
+    for entry in Scan(path):
+        counts[entry.stream] = counts.get(entry.stream, 0) + 1
+        numbers[entry.stream] = max(numbers.get(entry.stream, 0), entry.sequence + 1)
+    lost = told["lost"]
+    return Seen(
+        sum(numbers.values()),
+        sum(abs(missing - lost.get(stream, 0)) for stream, missing in told["missed"].items()),
+        sum(abs(numbers[stream] - counts[stream] - lost.get(stream, 0)) for stream in counts),
+        sum(lost.values()),
+    )
+
+
+def killed(folder: Path, number: int, rng: random.Random, *, with_sender: bool) -> float:
+    """Kill a run at a random moment; return how much (s) its recovered recording lacks before that."""
+    path = folder / f"dead-{number}.mcap"
+    run = subprocess.Popen(command(record=path), stderr=subprocess.DEVNULL)
+    while not path.exists() or path.stat().st_size < 1000:
+        time.sleep(0.01)
+    time.sleep(rng.uniform(0.2, 2.0))
+    sender = subprocess.run(
+        ["/usr/bin/pgrep", "-P", str(run.pid)], capture_output=True, text=True, check=False
+    ).stdout.split()
+    moment = time.monotonic_ns()
+    for process in [run.pid, *map(int, sender if with_sender else [])]:
+        os.kill(process, signal.SIGKILL)
+    run.wait()
+    until_gone(sender)
+    saved = path.with_suffix(".saved.mcap")
+    recover(path, saved)
+    newest = max(entry.record().time_ns for entry in Scan(saved) if entry.stream == "observation")
+    return (moment - newest) / 1e9
+
+
+def until_gone(processes: list[str]) -> None:
+    """Wait until they have ended, which takes a sender as long as its disk takes to write."""
+    end = time.monotonic() + 60
+    while any(Path(f"/proc/{process}").exists() for process in processes) and time.monotonic() < end:
+        time.sleep(0.01)
+
+
+def interrupted(folder: Path) -> float:
+    """Return how long (s) a watched and recorded run needs to be gone after Ctrl-C."""
+    path = folder / "interrupted.mcap"
+    with subscriber("watched"):
+        run = subprocess.Popen(command(record=path), stderr=subprocess.DEVNULL)
+        while not path.exists() or path.stat().st_size < 1000:
+            time.sleep(0.01)
+        time.sleep(1.0)
+        start = time.monotonic()
+        run.send_signal(signal.SIGINT)
+        run.wait(20)
+        return time.monotonic() - start
