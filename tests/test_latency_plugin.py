@@ -131,7 +131,8 @@ def test_the_counts_of_every_preset_are_the_same_in_every_run(preset: str, rtage
     first, second = (rtagent_latency.allocations(scenario) for _ in range(2))
     assert first == second
     assert first.total > 100
-    rtagent_latency.system_calls(scenario, episodes=2).assert_at_most(0)
+    known = {"getpid": 1.0} if preset == "background" else {}  # asyncio asks when it makes a future
+    rtagent_latency.system_calls(scenario, episodes=2).assert_no_more_than(known)
 
 
 # Exact counts
@@ -181,11 +182,11 @@ def test_system_calls_are_read_from_the_table_of_strace() -> None:
 def test_an_added_call_a_cycle_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     def counted(subject: Subject) -> tuple[Mapping[str, int], int]:
         cycles = 100 if "run.episodes=20" in subject.overrides else 200
-        return {"openat": 400, "write": 3 * cycles, "brk": cycles // 100}, cycles
+        return {"openat": 400, "write": 3 * cycles, "fsync": cycles // 100, "brk": cycles // 50}, cycles
 
     monkeypatch.setattr(calling, "_measure", lambda: (counted, ""))
     counts = calling.system_calls(Subject.scenario(STOPPING, *VIRTUAL))
-    assert counts.per_cycle == {"write": 3.0, "brk": 0.01}
+    assert counts.per_cycle == {"write": 3.0, "fsync": 0.01}
     with pytest.raises(AssertionError, match=r"3.01 system calls in a cycle, and 2 are allowed:\n  write: 3"):
         counts.assert_at_most(2)
 
@@ -440,12 +441,12 @@ def test_the_tests_of_the_page_pass(tests: pytest.Pytester) -> None:
 
 @pytest.mark.slow
 def test_a_seeded_slowdown_is_caught_in_real_time_and_none_is_not() -> None:
-    latency = Latency(Rules(rounds=8, stolen=1.0))
+    latency = Latency(Rules(rounds=10, stolen=1.0, least=3))
     before, same = (latency.of(reacting(200 * us), "real", name) for name in ("main", "same"))
     slow = latency.of(reacting(400 * us), "real", "mine")
     with pytest.raises(AssertionError, match=r"mine is slower than 1.2 × main, in choose above all.\n  choose: "):
-        latency.compare(before, slow).assert_at_most(1.2)
-    latency.compare(before, same).assert_at_most(1.2, "choose", "reaction")
+        latency.compare(before, slow).assert_at_most(1.2, "choose", "deciding")
+    latency.compare(before, same).assert_at_most(1.5, "choose", "deciding")
 
 
 @pytest.mark.slow

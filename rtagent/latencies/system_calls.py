@@ -24,6 +24,9 @@ IO = Path("/proc/self/io")
 DIGITS = 2
 """What happens less than once in 200 cycles is no part of a cycle."""
 
+MEMORY = frozenset({"brk", "mmap", "munmap", "mremap", "madvise"})
+"""Python asks for memory now and then: that is a part of a cycle only where it is in half of them."""
+
 ONLY_IO = "(strace is not there or may not trace: only reads and writes were counted)"
 
 Counted = tuple[Mapping[str, int], int]
@@ -44,7 +47,8 @@ def system_calls(subject: Subject, episodes: int = 20) -> Counts:
     if more <= cycles:
         raise UndecidedError(f"{subject.name} has no more cycles in {2 * episodes} episodes than in {episodes}.")
     rates = {name: round((count - few.get(name, 0)) / (more - cycles), DIGITS) for name, count in many.items()}
-    return Counts("system calls", subject.name, {name: rate for name, rate in rates.items() if rate > 0}, note)
+    made = {name: rate for name, rate in rates.items() if rate > (0.5 if name in MEMORY else 0.0)}
+    return Counts("system calls", subject.name, made, note)
 
 
 def _measure() -> tuple[Callable[[Subject], Counted], str]:
