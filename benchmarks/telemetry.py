@@ -63,7 +63,7 @@ def pooled(blocks: list[Block], quantile: float) -> float:
 def compared(off: list[Block], on: list[Block], quantile: float) -> tuple[float, float, float]:
     """Return the median ratio of the quantiles of blocks of one round, between the ends of its interval.
 
-    One block that something else on the machine disturbs moves a median by little. Rounds are drawn again and again.
+    One block that something else on the machine disturbs moves a median by little. Rounds are drawn many times.
     """
     pairs = zip(on, off, strict=True)
     ratios = np.array([pooled([beside], quantile) / pooled([without], quantile) for beside, without in pairs])

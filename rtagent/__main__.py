@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_stop(commands)
     _add_watch(commands)
     _add_recordings(commands)
+    _add_replay(commands)
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
@@ -62,6 +63,8 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument(
         "--trace", metavar="FILE", help="write a timeline there, for https://ui.perfetto.dev (.gz: compressed)"
     )
+    run.add_argument("--checkpoint", metavar="FILE", help="keep all that the run knows there, to go on from")
+    run.add_argument("--resume", action="store_true", help="go on from the checkpoint")
     run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")
     _add_data(run)
     _add_fake(run)
@@ -128,6 +131,14 @@ def _add_list(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     listing = commands.add_parser("list", help="list what is installed, with one line each")
     listing.add_argument("group", choices=groups)
     listing.set_defaults(command=_list)
+
+
+def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    replay = commands.add_parser("replay", help="a recording through the same agent again, or through another one")
+    replay.add_argument("recording", help="an MCAP file that `rtagent run --record` has made")
+    replay.add_argument("--json", action="store_true", help="print JSON instead")
+    _add_set(replay)
+    replay.set_defaults(command=_replay)
 
 
 def _add_emulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -237,6 +248,12 @@ def _rearm(arguments: argparse.Namespace) -> int:
     from rtagent.commands.stop import rearm_command
 
     return rearm_command(arguments)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.replay import replay_command
+
+    return replay_command(arguments)
 
 
 def _list(arguments: argparse.Namespace) -> int:

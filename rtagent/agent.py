@@ -6,16 +6,28 @@ Nothing here waits for anything; the runtime says when each component runs.
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple, cast
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.random import Generator
 
-from rtagent.errors import ScheduleError
+from rtagent.checkpoint.plain import (
+    restored_features,
+    restored_state,
+    restored_transition,
+    save_features,
+    save_state,
+    save_transition,
+    taken_features,
+)
+from rtagent.errors import ScheduleError, SpecError
 from rtagent.experience import FeatureVector, Outcome, State, Transition
 from rtagent.features import FeatureCoder, Remembering
 from rtagent.learning import ControlLearner, PredictionLearner
 from rtagent.policy import Policy
+from rtagent.saving import Saveable, Saved, restore_parts, save_parts
+from rtagent.streams import restored_stream, save_stream
 
 
 class Decision(NamedTuple):
@@ -111,8 +123,17 @@ class Agent:
         if not self._fresh or self.policy is None or self._features is None:
             raise ScheduleError("choose needs an observation newer than the last choice, and a policy.")
         values = self.learner.action_values(self._features)  # type: ignore[union-attr]  # control was checked before
-        action, probability = self.policy.choose(values, self.rng)
-        chosen = self.chosen = Decision(self._state, self._features, self._observed_at, action, probability)
+        return self._decide(*self.policy.choose(values, self.rng))
+
+    def follow(self, action: int, probability: float) -> Decision:
+        """Take an action that was chosen before, as in a recording; raise `ScheduleError` as `choose` does."""
+        if not self._fresh or self._features is None:
+            raise ScheduleError("an action that is followed needs an observation newer than the last choice.")
+        return self._decide(action, probability)
+
+    def _decide(self, action: int, probability: float) -> Decision:
+        features = cast("FeatureVector", self._features)
+        chosen = self.chosen = Decision(self._state, features, self._observed_at, action, probability)
         self._fresh = False
         if self._incomplete is not None:
             self._complete(action)
@@ -184,3 +205,82 @@ class Agent:
             self.queue.append(transition)
         else:
             self.not_kept += 1
+
+    # What a checkpoint keeps of it
+
+    def save(self) -> Saved:
+        """Return all that it knows, its queue and its open step; raise `SpecError` where a part cannot be saved."""
+        return {
+            "parts": save_parts(self._parts()),
+            "rng": save_stream(self.rng),
+            "queue": [save_transition(transition) for transition in self.queue],
+            "keeps_transitions": self.keeps_transitions,
+            "not_kept": self.not_kept,
+            "step": self._save_step(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned; raise `SpecError`, changing nothing, where it is of another agent."""
+        rng, step = restored_stream(saved["rng"]), saved["step"]
+        queue = [restored_transition(each) for each in saved["queue"]]
+        restore_parts(self._parts(), saved["parts"])
+        self.rng.bit_generator.state = rng.bit_generator.state
+        self.queue.clear()
+        self.queue.extend(queue)
+        self.keeps_transitions, self.not_kept = saved["keeps_transitions"], saved["not_kept"]
+        self._restore_step(step)
+
+    def break_off(self) -> None:
+        """End an episode of which nothing more will be seen: its last transition does not end the return."""
+        if self._incomplete is not None:
+            self._incomplete.truncated = True
+            self.choose()
+        elif self.queue and not self.queue[-1].terminated:
+            self.queue[-1].truncated = True
+
+    def _parts(self) -> dict[str, Saveable]:
+        """Return what of it remembers anything; raise `SpecError` where that cannot be saved."""
+        parts: dict[str, object] = {"features": self.features, "learner": self.learner, "policy": self.policy}
+        for part in (self.learner, self.features if isinstance(self.features, Remembering) else None):
+            if part is not None and not isinstance(part, Saveable):
+                raise SpecError(
+                    f"{type(part).__name__} remembers and cannot be saved: "
+                    "give it save and restore (docs/checkpoints.md)."
+                )
+        return {name: part for name, part in parts.items() if isinstance(part, Saveable)}
+
+    def _save_step(self) -> Saved:
+        return {
+            "state": save_state(self._state),
+            "features": save_features(self._features),
+            "observed_at": self._observed_at,
+            "reward": self._reward,
+            "fresh": self._fresh,
+            "acted": self._acted,
+            "in_force": _save_decision(self._in_force),
+            "chosen": "in force" if self.chosen is self._in_force else _save_decision(self.chosen),
+            "incomplete": None if self._incomplete is None else save_transition(self._incomplete),
+        }
+
+    def _restore_step(self, saved: Saved) -> None:
+        self._state, self._features = restored_state(saved["state"]), restored_features(saved["features"])
+        self._observed_at, self._reward = saved["observed_at"], saved["reward"]
+        self._fresh, self._acted = saved["fresh"], saved["acted"]
+        self._in_force = _restored_decision(saved["in_force"])
+        self.chosen = self._in_force if saved["chosen"] == "in force" else _restored_decision(saved["chosen"])
+        incomplete = saved["incomplete"]
+        self._incomplete = None if incomplete is None else restored_transition(incomplete)
+
+
+def _save_decision(decision: Decision | None) -> Saved | None:
+    if decision is None:
+        return None
+    kept = decision._asdict()
+    return kept | {"state": save_state(decision.state), "features": save_features(decision.features)}
+
+
+def _restored_decision(saved: Mapping[str, Any] | None) -> Decision | None:
+    if saved is None:
+        return None
+    state, features = restored_state(saved["state"]), taken_features(saved["features"])
+    return Decision(**{**saved, "state": state, "features": features})

@@ -45,6 +45,14 @@ class StoppedError(RtagentError):
     """The run is stopped: nothing moves any more."""
 
 
+class CheckpointError(RtagentError, ValueError):
+    """A file that is no checkpoint that can be gone on with; nothing of it was taken."""
+
+
+class ReplayError(RtagentError, ValueError):
+    """A recording that cannot be replayed."""
+
+
 class PluginError(RtagentError, LookupError):
     """No plug-in of that name, or one that cannot be loaded."""
 

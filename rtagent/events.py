@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import Sample, Stimulus
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 
 
@@ -71,6 +72,17 @@ class Flags:
             ]
         self._held = now
         return sample._replace(values={**sample.values, **now})
+
+    def save(self) -> Saved:
+        """Return which hold, and the stimuli of the episode."""
+        return {
+            "held": None if self._held is None else dict(self._held),
+            "stimuli": [list(each) for each in self._stimuli],
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self._held, self._stimuli = saved["held"], [Stimulus(*each) for each in saved["stimuli"]]
 
     def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
         """Return the stimuli with after < time <= until (ns), in order."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 from rtagent.clock import Clock
 from rtagent.errors import RunStuckError
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.supervision import SupervisedDevice
 
 IDLE_CYCLES = 1000
@@ -23,6 +24,7 @@ class Idling:
         self._synchronous = any(device.device.spec.synchronous for device in devices)
         self._surprising = any(device.surprising for device in devices)
         self._clock, self._episode_time = clock, episode_time
+        self.begin(0)
         self.learning: Callable[[int], int | None] = lambda now: None
 
     def begin(self, now: int) -> None:
@@ -55,6 +57,14 @@ class Idling:
                 f"{IDLE_CYCLES} cycles took no virtual time and nothing is going to happen: give a component "
                 "a cost, schedule.period a value, or a device a rate."
             )
+
+    def save(self) -> Saved:
+        """Return how long it has been idle, and when the episode ends."""
+        return save_fields(self, ("_instant", "_ends", "_idle_cycles"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, ("_instant", "_ends", "_idle_cycles"), saved)
 
     def _next_event(self, now: int) -> int | None:
         events = [device.next_event(now) for device in self._devices] + [self._ends, self.learning(now)]

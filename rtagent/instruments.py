@@ -40,6 +40,12 @@ class Instrument:
     def observed(self, observation: Observation, stimuli: Sequence[Stimulus]) -> None:
         """The agent observed; `stimuli` are those that this observation is the first to contain."""
 
+    def had_learned(self, transitions: int, pieces: int) -> None:
+        """So much was learned at the choice that follows: whole transitions, and pieces of the next one.
+
+        It is told to an instrument that hears `chose`.
+        """
+
     def chose(self, action: int, probability: float, time: int) -> None:
         """The agent chose an action."""
 
@@ -58,6 +64,9 @@ class Instrument:
     def reacted(self, reaction: Reaction) -> None:
         """A stimulus got its first reaction."""
 
+    def trial_ended(self, trial: int, agent: Any) -> None:
+        """A trial ended, and its `rtagent.Agent` has learned all that it will."""
+
     def fault(self, source: str, message: str, time: int) -> None:
         """Something failed."""
 
@@ -65,7 +74,7 @@ class Instrument:
         """An episode ended."""
 
 
-NOTED = ("observed", "chose", "acted", "learned", "component", "reacted")
+NOTED = ("observed", "had_learned", "chose", "acted", "learned", "component", "reacted")
 """The hooks whose calls are kept until the act is over, as those of `learned_for` are where it is heard singly."""
 HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
 

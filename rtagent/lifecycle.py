@@ -14,12 +14,21 @@ from typing import Any
 from numpy.random import Generator
 
 from rtagent.agent import Agent
+from rtagent.checkpoint.keeper import Keeper
 from rtagent.clock import current
 from rtagent.costs import Costs
 from rtagent.device import Device, Foreseeing
-from rtagent.errors import ClockError, DeviceError, LimitError, RtagentError, RunStuckError, ScheduleError
+from rtagent.errors import (
+    ClockError,
+    DeviceError,
+    LimitError,
+    RtagentError,
+    RunStuckError,
+    ScheduleError,
+)
 from rtagent.guard import HangGuard
 from rtagent.instruments import Hooks
+from rtagent.keeping import Keeping
 from rtagent.latch import Latch
 from rtagent.protection import WATCHDOG, Protection, Watchdog
 from rtagent.recorder import Fault, Recorder
@@ -66,17 +75,22 @@ async def run(
     habits: Habits = NO_HABITS,
     latch: Latch | None = None,
     watchdog: Watchdog = WATCHDOG,
+    keeper: Keeper | None = None,
 ) -> Result:
     """Run a whole plan under the clock of the running event loop, and return what it came to.
 
     `agent` is an agent, or what makes one from a random generator: each trial begins with a new one.
     `costs` (virtual clock only) are what components cost. Tripping `latch` stops the run; `watchdog` is for runs
-    with guarded devices. Raises `RunError`, which carries the result so far, when the run was stopped, a device
-    died, or something raised; `ScheduleError`, `SpecError` or `RunStuckError` before anything is opened when the
+    with guarded devices. `keeper` keeps checkpoints, and has the one to go on from.
+
+    Raises `RunError`, which carries the result so far, when the run was stopped, a device died, or something
+    raised; `ScheduleError`, `SpecError`, `RunStuckError` or `CheckpointError` before anything is opened when the
     parts do not fit, and `StoppedError` where hardware is latched. In every case the devices have been made safe.
     """
     supervision, hooks, latch = supervision or {}, Hooks(instruments), latch or Latch()
-    life = _Life(devices, task, agent, schedule, plan, costs or {}, supervision, hooks, habits, latch, watchdog)
+    life = _Life(
+        devices, task, agent, schedule, plan, costs or {}, supervision, hooks, habits, latch, watchdog, keeper
+    )
     return await life.live()
 
 
@@ -108,6 +122,7 @@ class _Life:
         habits: Habits,
         latch: Latch,
         watchdog: Watchdog,
+        keeper: Keeper | None,
     ) -> None:
         self._task, self._make_agent, self._schedule, self._plan = task, _maker(agent, plan), schedule, plan
         self._costs, self._hooks, self._habits = costs, hooks, habits
@@ -142,6 +157,10 @@ class _Life:
         check_urgency(schedule.learn, task, self._first_agent.learner, specs)
         if self._clock.virtual:
             refuse_stuck(devices, schedule, costs, plan)
+        self._keeping = Keeping(keeper, plan, self._clock, self._recorder, self._devices, self._agents)
+        self._keeping.begin(self._report)
+        self._keeping.take_agent(self._first_agent, 0)
+        self._began = self._keeping.began
 
     async def live(self) -> Result:
         self._hooks.call("run_began", self._report)
@@ -153,6 +172,7 @@ class _Life:
                 work.cancel()
                 await self._make_safe(end)
                 await asyncio.wait({work}, timeout=GIVE_UP_TIMEOUT / second)
+                await self._keeping.run_ended(broken_off=end is not None and end.source != "run")
                 await self._drain(end)
         except asyncio.CancelledError:
             work.cancel()
@@ -177,19 +197,25 @@ class _Life:
             self._protection.begun = True
         for trial, agent in enumerate(agents):
             self._agents.append(agent)
+            if self._keeping.is_over(trial):
+                continue
             runtime = self._running = self._runtime(agent, trial)
             self._hooks.call("trial_began", trial, agent)
-            for episode in range(self._plan.episodes):
+            for episode in range(await self._keeping.go_on(runtime, trial), self._plan.episodes):
                 rngs = {name: stream(self._plan.seed, "device", name, trial, episode) for name in self._devices}
                 await runtime.run_episode(trial, episode, rngs)
+                await self._keeping.episode_ended(trial, episode)
             if trial < self._plan.trials - 1:
                 await runtime.drain(None)
+                self._hooks.call("trial_ended", trial, agent)
 
     def _make_agents(self) -> Iterator[Agent]:
         """Make an agent for each trial, when it is asked for."""
         yield self._first_agent
         for trial in range(1, self._plan.trials):
-            yield self._make_agent(stream(self._plan.seed, "policy", trial))
+            agent = self._make_agent(stream(self._plan.seed, "policy", trial))
+            self._keeping.take_agent(agent, trial)
+            yield agent
 
     def _runtime(self, agent: Agent, trial: int) -> Runtime:
         return Runtime(
@@ -204,7 +230,7 @@ class _Life:
             costs_rng=stream(self._plan.seed, "costs", trial),
             limits=self._plan.limits,
             learning_failed=self._learning_failed,
-            habits=self._habits,
+            habits=self._keeping.habits(self._habits),
         )
 
     async def _until_end(self, work: asyncio.Future[None], stopped: asyncio.Future[None]) -> _End | None:
@@ -254,6 +280,7 @@ class _Life:
         may_learn = end is None or end.source != "run"
         bounded = self._clock.now() + (self._plan.drain if may_learn else 0)
         await self._running.drain(None if end is None else bounded)
+        self._hooks.call("trial_ended", len(self._agents) - 1, self._agents[-1])
 
     def _learning_failed(self, error: BaseException) -> None:
         """Note that learning is over; the run goes on with the weights it has."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.schedule import Overrun
 
 
@@ -25,3 +26,11 @@ class Pacer:
                 self.skipped += missed
                 self._deadline += missed * self.period
         return self._deadline
+
+    def save(self) -> Saved:
+        """Return the last deadline, and what was counted."""
+        return save_fields(self, ("_deadline", "overruns", "skipped"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, ("_deadline", "overruns", "skipped"), saved)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from rtagent.experience import Stimulus
+from rtagent.saving import Saved
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,17 @@ class EpisodeReactions:
     missed_reactions: int = 0
     missed_responses: int = 0
     anticipated: int = 0
+
+    def save(self) -> Saved:
+        """Return what became of them so far."""
+        reactions = [[list(each.stimulus), each.sensing, each.deciding, each.acting] for each in self.reactions]
+        return {**vars(self), "reactions": reactions, "responses": list(self.responses)}
+
+    @classmethod
+    def restored(cls, saved: Saved) -> EpisodeReactions:
+        """Return what was saved."""
+        reactions = [Reaction(Stimulus(*stimulus), *times) for stimulus, *times in saved["reactions"]]
+        return cls(**{**saved, "reactions": reactions})
 
 
 class ReactionTimer:
@@ -117,3 +129,14 @@ class ReactionTimer:
             return False
         action, end = self._last_act
         return end >= stimulus.time and self._answers(action, stimulus)
+
+    def save(self) -> Saved:
+        """Return the stimuli that wait, and the last act; what has become of others is the episode's."""
+        waiting = [[list(seen.stimulus), seen.observed, seen.chosen, seen.reacted] for seen in self._waiting]
+        return {"waiting": waiting, "last_act": self._last_act}
+
+    def restore(self, saved: Saved, episode: EpisodeReactions) -> None:
+        """Take what `save` returned in the middle of an episode; go on with what became of its stimuli."""
+        self._waiting = [_Seen(Stimulus(*stimulus), *seen) for stimulus, *seen in saved["waiting"]]
+        last = saved["last_act"]
+        self._last_act, self.episode = None if last is None else (last[0], last[1]), episode

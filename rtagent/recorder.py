@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from rtagent.reaction import EpisodeReactions
+from rtagent.saving import Saved, restore_parts, save_parts
 from rtagent.schedule import Component
 from rtagent.series import Series
 
@@ -34,6 +35,15 @@ class EpisodeRecord:
     def duration(self) -> int:
         """How long it lasted, in ns."""
         return self.ended - self.began
+
+    def save(self) -> Saved:
+        """Return it as plain data."""
+        return {**vars(self), "reactions": self.reactions.save()}
+
+    @classmethod
+    def restored(cls, saved: Saved) -> EpisodeRecord:
+        """Return the episode that was saved."""
+        return cls(**{**saved, "reactions": EpisodeReactions.restored(saved["reactions"])})
 
 
 @dataclass
@@ -73,3 +83,26 @@ class Recorder:
             self.faults.append(fault)
         else:
             self.counters["faults_not_listed"] += 1
+
+    def save(self) -> Saved:
+        """Return all that it has seen."""
+        return {
+            "series": save_parts(self._series()),
+            "learning_time": self.learning_time,
+            "episodes": [episode.save() for episode in self.episodes],
+            "faults": [dict(vars(fault)) for fault in self.faults],
+            "counters": dict(self.counters),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_parts(self._series(), saved["series"])
+        self.learning_time = saved["learning_time"]
+        self.episodes[:] = [EpisodeRecord.restored(each) for each in saved["episodes"]]
+        self.faults[:] = [Fault(**each) for each in saved["faults"]]
+        self.counters.clear()
+        self.counters.update(saved["counters"])
+
+    def _series(self) -> dict[str, Series]:
+        own = {name: series for name, series in vars(self).items() if isinstance(series, Series)}
+        return own | {component.value: series for component, series in self.components.items()}

@@ -14,7 +14,7 @@ from rtagent.agent import Agent
 from rtagent.backlog import Backlog, Desk, make_work, yield_once
 from rtagent.clock import Clock
 from rtagent.costs import Costs
-from rtagent.errors import ScheduleError
+from rtagent.errors import ScheduleError, SpecError
 from rtagent.experience import Outcome, Transition
 from rtagent.guard import NEVER
 from rtagent.idling import Idling
@@ -23,11 +23,16 @@ from rtagent.learn import Where
 from rtagent.pacing import Pacer
 from rtagent.reaction import ReactionTimer
 from rtagent.recorder import EpisodeRecord, Recorder
+from rtagent.saving import Saveable, Saved, save_fields
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Order, Schedule, prologue
 from rtagent.senses import Senses
+from rtagent.streams import restored_stream, save_stream
 from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
 from rtagent.urgency import Urgency
+
+EPISODE = ("_changed", "_latest", "_last_step")
+"""What is saved of an episode as it is."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +163,10 @@ class Runtime:
         self._mark = self._now()
         for component in self._prologue:
             await self._components[component]()
+        return await self.go_on()
+
+    async def go_on(self) -> EpisodeRecord:
+        """Run the rest of an episode, from between two of its cycles."""
         chooser = self._schedule.make_chooser()
         paced, calm = bool(self._schedule.period) or self._idling is not None, self._calm
         while not self._over:
@@ -261,6 +270,8 @@ class Runtime:
         self._reactions.chose()
         end = self._done(CHOOSE)
         if "chose" in self._heard:
+            if "had_learned" in self._heard:
+                self._hooks.note(("had_learned", self.work.progress))
             self._hooks.note(("chose", (decision.action, decision.probability, end)))
 
     async def _act(self) -> None:
@@ -295,6 +306,55 @@ class Runtime:
         self._mark = self._now()
         await self.work.drain(deadline)
         self._tell()
+
+    # What a checkpoint keeps: `calm` is called where it can be saved
+
+    @property
+    def settled(self) -> bool:
+        """Whether an episode is between two of its cycles, no device fails, and nothing is half learned."""
+        return (
+            not self._over and all(device.settled for device in self._devices.values()) and self.work.settle(False)
+        )
+
+    def save(self) -> Saved:
+        """Return what is being learned, and the random state of costs."""
+        return {"work": self.work.save(), "costs": save_stream(self._costs_rng)}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned; the newest episode of the recorder is the last one, or goes on."""
+        self._episode = self._recorder.episodes[-1]
+        self._costs_rng = restored_stream(saved["costs"])
+        self.work.restore(saved["work"])
+        if saved["work"]["failed"]:
+            self._agent.keeps_transitions = False
+
+    def save_episode(self) -> Saved:
+        """Return what it is at in an episode; raise `SpecError` where the task or the chooser cannot be saved."""
+        if not isinstance(self._task, Saveable) or self._schedule.chooser is not None:
+            what = self._schedule.chooser or type(self._task).__name__
+            raise SpecError(
+                f"{what} cannot be saved in the middle of an episode: give it save and restore "
+                "(docs/checkpoints.md), or keep checkpoints at the ends of episodes only."
+            )
+        return save_fields(self, EPISODE) | {
+            "task": self._task.save(),
+            "idling": self._idling.save() if self._idling else None,
+            "pacer": self._pacer.save() if self._pacer else None,
+            "reactions": self._reactions.save(),
+        }
+
+    def restore_episode(self, saved: Saved) -> None:
+        """Take what `save_episode` returned."""
+        self._over = False
+        self._changed, self._latest, self._last_step = (saved[name] for name in EPISODE)
+        self._task.restore(saved["task"])  # type: ignore[attr-defined]  # what could be saved can be restored
+        self._reactions.restore(saved["reactions"], self._episode.reactions)
+        if self._idling is not None:
+            self._idling.restore(saved["idling"])
+        self._pacer = None
+        if saved["pacer"] is not None:
+            self._pacer = Pacer(self._schedule.period, self._schedule.overrun, 0)
+            self._pacer.restore(saved["pacer"])
 
     # What learning asks and tells
 

@@ -25,7 +25,7 @@ class Saveable(Protocol):
 
 
 def save_fields(owner: object, names: Sequence[str]) -> Saved:
-    """Return these attributes, arrays and dictionaries copied."""
+    """Return these attributes, arrays, dictionaries and lists copied."""
     return {name: _copied(getattr(owner, name)) for name in names}
 
 
@@ -44,7 +44,7 @@ def restore_fields(owner: object, names: Sequence[str], saved: Saved) -> None:
 
 
 def _copied(value: Any) -> Any:
-    return value.copy() if isinstance(value, np.ndarray | dict) else value
+    return value.copy() if isinstance(value, np.ndarray | dict | list) else value
 
 
 def _check_fit(owner: object, name: str, value: Any) -> None:

@@ -13,14 +13,16 @@ from dataclasses import dataclass, field
 
 from numpy.random import Generator
 
+from rtagent.checkpoint.plain import restored_sample, save_sample
 from rtagent.clock import Clock
 from rtagent.device import Counting, Device, Episodic, Foreseeing, Stimulating
-from rtagent.errors import DeviceError, DisconnectedError, LimitError
+from rtagent.errors import DeviceError, DisconnectedError, LimitError, SpecError
 from rtagent.events import Event, Flags
 from rtagent.experience import Command, Sample, Stimulus
 from rtagent.guard import HangGuard
 from rtagent.health import FIRST_PAUSE, LONGEST_PAUSE, Health, Validity
 from rtagent.latch import Latch
+from rtagent.saving import Saveable, Saved
 from rtagent.specs import DeviceSpec
 from rtagent.units import describe, ms, second
 
@@ -88,7 +90,7 @@ class SupervisedDevice:
         self._seen = -1
         self._stimuli_until = 0
         self.as_of_now = not device.spec.rate
-        self._watching: asyncio.Task[Sample] | None = None
+        self._watching: asyncio.Future[Sample] | None = None
         self._watch_ends = 0
 
     @property
@@ -155,7 +157,7 @@ class SupervisedDevice:
 
     # Watching: a reading that waits for the next sample while something else is done
 
-    def watch(self) -> asyncio.Task[Sample] | None:
+    def watch(self) -> asyncio.Future[Sample] | None:
         """Begin to wait for a new sample, unless that is going on; return what waits (None: nothing can)."""
         if self._watching is None and not self.as_of_now and not self.failing:
             self._watching = asyncio.ensure_future(self.device.read(self._seen))
@@ -266,7 +268,7 @@ class SupervisedDevice:
         self._observed, self._seen = self.sample, self.sequence
         return new
 
-    def _take(self, reading: asyncio.Task[Sample]) -> None:
+    def _take(self, reading: asyncio.Future[Sample]) -> None:
         """Take the sample of a finished reading."""
         error = reading.exception()
         if error is None:
@@ -345,6 +347,68 @@ class SupervisedDevice:
         """What was dropped, retried, late or damaged, as far as it happened."""
         own = self.device.counters if isinstance(self.device, Counting) else {}
         return {name: count for name, count in (Counter(own) + self._counts).items() if count}
+
+    # What a checkpoint keeps of it
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing fails, or hangs, or is being opened anew: only then is it saved."""
+        watching = self._watching
+        failed = watching is not None and watching.done() and watching.exception() is not None
+        return not (self._troubled or failed) and getattr(self.device, "settled", True)
+
+    def save(self) -> Saved:
+        """Return what it is at and what was counted; raise `SpecError` where the device cannot be saved."""
+        if not isinstance(self.device, Saveable):
+            raise SpecError(
+                f"the device {self.name!r} cannot be saved in the middle of a run under the virtual clock: "
+                "give its driver save and restore (docs/checkpoints.md)."
+            )
+        return {
+            "device": self.device.save(),
+            "counts": dict(self._counts),
+            "flags": None if self._flags is None else self._flags.save(),
+            "sample": save_sample(self.sample),
+            "observed": self.sample is self._observed or save_sample(self._observed),
+            "sequence": self.sequence,
+            "seen": self._seen,
+            "stimuli_until": self._stimuli_until,
+            "watching": self._save_watching(),
+        }
+
+    def restore_device(self, saved: Saved) -> None:
+        """Have the device, which is not open yet, go on from where it was."""
+        if isinstance(self.device, Saveable):
+            self.device.restore(saved["device"])
+        self._counts = Counter(saved["counts"])
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned in the middle of an episode; the device is open."""
+        if self._flags is not None:
+            self._flags.restore(saved["flags"])
+        self.sample, observed = restored_sample(saved["sample"]), saved["observed"]
+        self._observed = self.sample if observed is True else restored_sample(observed)
+        self.sequence, self._seen = saved["sequence"], saved["seen"]
+        self._stimuli_until = saved["stimuli_until"]
+        self._restore_watching(saved["watching"])
+
+    def _save_watching(self) -> Saved | None:
+        watching = self._watching
+        if watching is None:
+            return None
+        found = watching.result() if watching.done() and watching.exception() is None else None
+        return {"ends": self._watch_ends, "found": save_sample(found)}
+
+    def _restore_watching(self, saved: Saved | None) -> None:
+        if saved is None:
+            return
+        found = restored_sample(saved["found"])
+        if found is None:
+            self._watching = asyncio.ensure_future(self.device.read(self._seen))
+        else:
+            self._watching = asyncio.get_running_loop().create_future()
+            self._watching.set_result(found)
+        self._watch_ends = saved["ends"]
 
     def _budget(self, calls: Health) -> int:
         """Return how long (ns) a call may take: what is left of the retry budget."""

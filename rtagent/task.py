@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec, Value
 
 
@@ -82,3 +83,11 @@ class RewardMeter:
         reward = float(total) - self._seen
         self._seen = float(total)
         return reward
+
+    def save(self) -> Saved:
+        """Return what was earned so far."""
+        return save_fields(self, ("_seen",))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, ("_seen",), saved)

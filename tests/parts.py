@@ -8,6 +8,7 @@ from pathlib import Path
 from numpy.random import Generator
 
 from rtagent import Agent, Limits, Plan, Result, Schedule, Supervision, clock, ms, run, second
+from rtagent.checkpoint.keeper import Keeper
 from rtagent.clock import ClockName
 from rtagent.device import Device
 from rtagent.features import Tabular
@@ -42,6 +43,7 @@ def run_stopping(
     clock_name: ClockName = "virtual",
     instruments: Iterable[object] = (),
     supervision: Mapping[str, Supervision] | None = None,
+    keeper: Keeper | None = None,
     **schedule: object,
 ) -> Result:
     """Run the stopping task; everything that is not given is as in the thesis."""
@@ -57,6 +59,7 @@ def run_stopping(
             plan,
             instruments=instruments,
             supervision=supervision,
+            keeper=keeper,
         )
 
     return clock.run(main(), clock_name)

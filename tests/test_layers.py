@@ -24,8 +24,8 @@ LAYERS = [
         "latched", "living", "watchdog",
     },
     {
-        "agent", "backlog", "urgency", "guard", "supervision", "senses", "idling", "runtime", "result", "lifecycle",
-        "shutdown", "protection",
+        "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime",
+        "result", "keeping", "lifecycle", "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

@@ -21,6 +21,7 @@ from numpy.random import Generator
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import FREQUENCY, TIME, second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
@@ -160,6 +161,13 @@ class ArmWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: what it does by itself is part of the world."""
+
+    def save(self) -> Saved:
+        """Return nothing: all follows from when and from what it began."""
+        return {}
+
+    def restore(self, saved: Saved) -> None:
+        """Do nothing."""
 
     def _angles(self, pose: Pose, changes: Sequence[float]) -> tuple[float, ...]:
         named = [angle + change for angle, change in zip(pose.angles, changes, strict=True)]

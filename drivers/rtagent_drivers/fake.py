@@ -19,8 +19,9 @@ from rtagent.clock import current
 from rtagent.device import Noting
 from rtagent.errors import DeviceError, DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.saving import Saveable, Saved
 from rtagent.specs import DeviceSpec, Value
-from rtagent.streams import stream
+from rtagent.streams import restored_stream, save_stream, stream
 from rtagent.units import Duration, Frequency, describe
 from rtagent_drivers.arrivals import Arrivals, Disturbance
 
@@ -28,7 +29,10 @@ CLOSED_SETTINGS = {"extra": "forbid"}
 
 
 class World(Protocol):
-    """A piece of the world that goes on by itself. All times are in ns; none is asked of the loop."""
+    """A piece of the world that goes on by itself. All times are in ns; none is asked of the loop.
+
+    One that is `Saveable` saves what has become of it since it began: it is begun again before it is restored.
+    """
 
     spec: DeviceSpec
 
@@ -132,6 +136,8 @@ class FakeDevice:
         self._arrivals: Arrivals | None = None
         self._reads = 0
         self._past_counters: Counter[str] = Counter()
+        self._hangs = 0
+        self._goes_on_from: int | None = None
 
     async def open(self) -> None:
         """Connect; raise `DisconnectedError` while it is unplugged."""
@@ -140,7 +146,8 @@ class FakeDevice:
         if self._first_opened is None:
             self._begin_world(stream(0, "fake"))
             self._first_opened = self._began
-        self._opened_at = self._now() - self._first_opened
+        self._opened_at = self._now() - self._first_opened if self._goes_on_from is None else self._goes_on_from
+        self._goes_on_from = None
         self._check_plugged(self._opened_at)
         self._opened = True
 
@@ -207,11 +214,42 @@ class FakeDevice:
         present = self._arrivals.counters(self._now()) if self._arrivals else {}
         return self._past_counters + Counter(present)
 
-    def _begin_world(self, rng: Generator) -> None:
+    @property
+    def settled(self) -> bool:
+        """Whether no call hangs by an injected fault: it is not saved then."""
+        return not self._hangs
+
+    def save(self) -> Saved:
+        """Return what has become of it; raise `SpecError` where its world cannot be saved."""
+        if not isinstance(self.world, Saveable):
+            raise SpecError(f"{type(self.world).__name__} cannot be saved: give it save and restore.")
+        return {
+            "first_opened": self._first_opened,
+            "opened_at": self._opened_at,
+            "began": self._began,
+            "rng": self._drawn_from,
+            "reads": self._reads,
+            "due": {trouble: list(times) for trouble, times in self._due.items()},
+            "past_counters": dict(self._past_counters),
+            "world": self.world.save(),
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, before it is opened: it then goes on from there."""
+        self._begin_world(restored_stream(saved["rng"]), saved["began"])
+        if isinstance(self.world, Saveable):
+            self.world.restore(saved["world"])
+        self._first_opened, self._goes_on_from = saved["first_opened"], saved["opened_at"]
+        self._reads, self._due = saved["reads"], saved["due"]
+        self._past_counters = Counter(saved["past_counters"])
+
+    def _begin_world(self, rng: Generator, began: int | None = None) -> None:
+        """Begin it, when it is prepared, or as it `began` (ns) before."""
         self._past_counters = Counter(self.counters) if self._arrivals else self._past_counters
+        self._drawn_from = save_stream(rng)
         if isinstance(self.world, Preparing):
             self.world.prepare(rng)
-        now = self._now()
+        now = self._now() if began is None else began
         self.world.begin(now, rng)
         self._began, self._reads = now, 0
         if self._sampling.rate:
@@ -241,7 +279,14 @@ class FakeDevice:
         if self._comes_due("raise", age):
             raise DeviceError(f"a fault was injected at {describe(age)}")
         if self._comes_due("hang", age):
+            await self._hang()
+
+    async def _hang(self) -> None:
+        self._hangs += 1
+        try:
             await asyncio.get_running_loop().create_future()
+        finally:
+            self._hangs -= 1
 
     def _comes_due(self, trouble: str, age: int) -> bool:
         due = self._due[trouble]

@@ -6,10 +6,12 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
 from rtagent.errors import DeviceError, SpecError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved
 from rtagent.units import Duration, describe, second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 from rtagent_drivers.gym_environment import Environment, Frame, Step, make, own_step
@@ -41,6 +43,7 @@ class GymnasiumWorld:
         """Begin with what the reset gave."""
         self._frames = [Frame(now, self._first)]
         self._action = self._idle
+        self._actions: list[int] = []
 
     def values(self, time: int) -> Values:
         """Return the newest frame at `time` (ns); raise `DeviceError` where that is forgotten."""
@@ -72,6 +75,18 @@ class GymnasiumWorld:
     def make_safe(self, now: int) -> None:
         """Do nothing: nothing of it moves outside this process."""
 
+    def save(self) -> Saved:
+        """Return the actions of the episode: its steps follow from them, and from its reset."""
+        return save_steps(self._actions, self._frames[-1]) | {"action": self._action}
+
+    def restore(self, saved: Saved) -> None:
+        """Make the steps again; raise `SpecError` where that leads somewhere else."""
+        for action in saved["actions"].tolist():
+            self._action = action
+            self._go_on(self._frames[-1].time + self._step)
+        self._action = saved["action"]
+        check_repeated(saved, self._frames[-1])
+
     def _following(self, time: int) -> int:
         """Return the place of the first frame after `time`."""
         if self._frames[-1].time <= time:
@@ -81,6 +96,7 @@ class GymnasiumWorld:
     def _go_on(self, time: int) -> None:
         newest = self._frames[-1]
         while not newest.over and newest.time + self._step <= time:
+            self._actions.append(self._action)
             newest = self._environment.step(newest, self._action, self._step)
             self._frames.append(newest)
             if len(self._frames) > 2 * self._kept:
@@ -102,6 +118,7 @@ class SynchronousGymnasiumWorld:
     def begin(self, now: int, rng: Generator) -> None:
         """Begin with what the reset gave."""
         self._newest = Frame(now, self._first)
+        self._actions: list[int] = []
 
     def values(self, time: int) -> Values:
         """Return what the last step gave."""
@@ -110,7 +127,8 @@ class SynchronousGymnasiumWorld:
     def command(self, now: int, command: Command) -> Command:
         """Make a step, unless the environment has ended."""
         if not self._newest.over:
-            self._newest = self._environment.step(self._newest, int(command["action"]), 0)
+            self._actions.append(int(command["action"]))
+            self._newest = self._environment.step(self._newest, self._actions[-1], 0)
         return command
 
     def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:
@@ -123,6 +141,30 @@ class SynchronousGymnasiumWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: it does not move by itself."""
+
+    def save(self) -> Saved:
+        """Return the actions of the episode: its steps follow from them, and from its reset."""
+        return save_steps(self._actions, self._newest)
+
+    def restore(self, saved: Saved) -> None:
+        """Make the steps again; raise `SpecError` where that leads somewhere else."""
+        for action in saved["actions"].tolist():
+            self.command(self._newest.time, {"action": action})
+        check_repeated(saved, self._newest)
+
+
+def save_steps(actions: Sequence[int], newest: Frame) -> Saved:
+    """Return the actions of an episode, and where they have led."""
+    return {"actions": np.array(actions, np.int64), "led_to": newest.values()}
+
+
+def check_repeated(saved: Saved, newest: Frame) -> None:
+    """Raise `SpecError` unless the actions that were saved have led again to where they did."""
+    if newest.values() != saved["led_to"]:
+        raise SpecError(
+            "the environment does not repeat itself: from the same reset the same actions have led somewhere else, "
+            "so that an episode cannot be gone on with; begin the run anew."
+        )
 
 
 def gymnasium_world(

@@ -17,12 +17,15 @@ from numpy.random import Generator
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import Length, Speed, second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 
 UP, LEFT = 0, 1
 TOUCH = 1e-9
+ON_THE_WAY, PLACE = ("_hits", "_openings", "_arrival"), ("_x", "_y", "_reward", "_steps")
+"""What is saved of either world."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,15 @@ class HallwayWorld:
         if self._arrival is None or now < self._arrival:
             self._cut(now)
 
+    def save(self) -> Saved:
+        """Return its way, and what happened, or will, on it."""
+        return save_fields(self, ON_THE_WAY) | {"legs": [list(leg) for leg in self._legs]}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        restore_fields(self, ON_THE_WAY, saved)
+        self._legs = [_Leg(*leg) for leg in saved["legs"]]
+
     def _leg(self, time: int) -> _Leg:
         return self._legs[max(0, bisect_right(self._legs, time, key=lambda leg: leg.begin) - 1)]
 
@@ -217,6 +229,14 @@ class SynchronousHallwayWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: it does not move by itself."""
+
+    def save(self) -> Saved:
+        """Return where it is, and what it earned."""
+        return save_fields(self, PLACE)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        restore_fields(self, PLACE, saved)
 
 
 def hallway(

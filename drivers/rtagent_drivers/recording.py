@@ -15,6 +15,7 @@ from numpy.random import Generator
 from rtagent.clock import current
 from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import Duration, Frequency, second
 from rtagent_drivers.arm import ArmWorld
@@ -23,6 +24,8 @@ from rtagent_drivers.recorded import Recording, Signal, declared, record, record
 from rtagent_drivers.tables import read_table
 
 ENDED = "ended"
+PLACE = ("_episode", "_start", "_seen", "_skipped")
+"""What is saved."""
 
 
 class RecordingDevice:
@@ -102,12 +105,26 @@ class RecordingDevice:
         """What the rows that were played had missing or outside its range, gaps, and rows that nobody looked at."""
         return self._past + self._damage() + Counter(rows_skipped=self._skipped)
 
+    def save(self) -> Saved:
+        """Return which row of which session was seen last, when that began, and what was counted before."""
+        return save_fields(self, PLACE) | {"past": dict(self._past)}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, before it is opened: it then goes on from there."""
+        self._take_up((saved["_episode"] or 0) % self.episodes)
+        self._start, self._seen = 0, 0
+        restore_fields(self, PLACE, saved)
+        self._past, self._begun = Counter(saved["past"]), True
+
     def _begin(self, number: int) -> None:
+        self._take_up(number)
+        self._start, self._begun = self._clock.now(), True
+        self._seen = self._session.first - 1
+
+    def _take_up(self, number: int) -> None:
         session = self._session = self.recording.sessions[number]
         offsets = (session.times - session.times[session.first]) / self._speed
         self._times: list[int] = offsets.round().astype(int).tolist()
-        self._start, self._begun = self._clock.now(), True
-        self._seen = session.first - 1
 
     def _newest(self) -> int:
         passed = bisect_right(self._times, self._clock.now() - self._start, lo=max(self._seen, 0))

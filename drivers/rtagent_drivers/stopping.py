@@ -13,6 +13,7 @@ from numpy.random import Generator
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import Angle, AngularVelocity, Duration, ms, second
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
@@ -88,6 +89,14 @@ class StoppingWorld:
         """Stop the joint, whatever the state."""
         if self._stopped is None and now < self._end:
             self._stopped = now
+
+    def save(self) -> Saved:
+        """Return what commands have done to it."""
+        return save_fields(self, ("_stopped", "_needless_stops"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        restore_fields(self, ("_stopped", "_needless_stops"), saved)
 
     def _moved_until(self, time: int) -> int:
         return min(time, self._end, time if self._stopped is None else self._stopped)

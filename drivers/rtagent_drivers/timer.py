@@ -11,6 +11,7 @@ from numpy.random import Generator
 from rtagent.clock import current
 from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample, Stimulus
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.units import Duration, ms
 
@@ -30,13 +31,16 @@ class Timer:
         if not 0 < after[0] <= after[1]:
             raise SpecError("after is [earliest, latest], both above 0 and in this order.")
         self._after = after
-        self._opened = False
+        self._opened = self._restored = False
         self._began = self._due = 0
 
     async def open(self) -> None:
         """Begin to run; no episode has begun yet, and it does not expire before one has."""
         self._clock = current()
-        self._opened, self._began, self._due = True, self._clock.now(), 0
+        self._opened = True
+        if not self._restored:
+            self._began, self._due = self._clock.now(), 0
+        self._restored = False
 
     async def begin_episode(self, rng: Generator) -> None:
         """Wind it up."""
@@ -77,6 +81,15 @@ class Timer:
     def next_event(self, now: int) -> int | None:
         """Return when it expires, if that is to come."""
         return self._due if self._due > now else None
+
+    def save(self) -> Saved:
+        """Return when it was wound up, and when it expires."""
+        return save_fields(self, ("_began", "_due"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, before it is opened: it then goes on from there."""
+        restore_fields(self, ("_began", "_due"), saved)
+        self._restored = True
 
     @property
     def _expired(self) -> bool:

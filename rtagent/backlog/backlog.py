@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rtagent.agent import Agent
+from rtagent.checkpoint.plain import restored_transition, save_transition
 from rtagent.clock import Clock
 from rtagent.experience import Transition
 from rtagent.learn import Full, Learn, Where
 from rtagent.recorder import Recorder
+from rtagent.saving import Saved
 
 IN_PLACE, DEFERRED, UNDER_PRESSURE = "learned_in_place", "learned_deferred", "learned_under_backpressure"
 
@@ -40,13 +42,22 @@ class Update:
 
     def __init__(self, learner: Any, transition: Transition, cost: int, sliced: bool) -> None:
         self.transition, self.cost, self.delta = transition, cost, 0.0
-        self.began = self.spent = 0
+        self.began = self.spent = self.pieces = 0
         self.suspended = False
         self.apart = False
         """Whether the piece that follows leaves all action values alone."""
         self._learner = learner
         self._sliced = sliced and hasattr(learner, "updating")
         self._pieces: Generator[bool | None, None, float] | None = None
+
+    @property
+    def begun(self) -> bool:
+        """Whether the learner has done a piece of it: it cannot be saved then."""
+        return self._pieces is not None
+
+    def save(self) -> Saved:
+        """Return the transition and what is left of its cost: nothing of it has been learned."""
+        return {"transition": save_transition(self.transition), "cost": self.cost, "suspended": self.suspended}
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
@@ -55,6 +66,7 @@ class Update:
             return True
         if self._pieces is None:
             self._pieces = self._learner.updating(self.transition)
+        self.pieces += 1
         try:
             self.apart = bool(next(self._pieces))
         except StopIteration as done:
@@ -74,6 +86,8 @@ class Backlog:
         self.rules, self.desk = rules, desk
         self.current: Update | None = None
         self.failed = False
+        self.learned = 0
+        """How many transitions were learned, but for those that are learned at once."""
         self.update = agent.learner.update
         self._agent, self._counters = agent, desk.recorder.counters
 
@@ -90,6 +104,12 @@ class Backlog:
         """Take the oldest transition out of the queue, to learn it."""
         return Update(self._agent.learner, self.queue.popleft(), self.desk.cost(), sliced)
 
+    def again(self, saved: Mapping[str, Any], sliced: bool) -> Update:
+        """Return an update that was saved; nothing of it has been learned."""
+        update = Update(self._agent.learner, restored_transition(saved["transition"]), saved["cost"], sliced)
+        update.suspended = saved["suspended"]
+        return update
+
     def step(self, update: Update) -> bool:
         """Do a piece of an update; say whether it is over: done, or failed."""
         try:
@@ -103,6 +123,7 @@ class Backlog:
         if self.failed:
             return
         self.current = None
+        self.learned += 1
         in_place = not update.suspended and update.transition.complete_at >= self.desk.observed_at()
         self.count(how or (IN_PLACE if in_place else DEFERRED))
         self.desk.learned(update.transition, update.delta)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from rtagent.backlog.backlog import UNDER_PRESSURE, Backlog, Update
 from rtagent.learn import Where
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.units import second
 
@@ -16,11 +17,12 @@ from rtagent.units import second
 class Processor(Protocol):
     """What learns: it takes transitions from the backlog, the oldest first, and says on the loop when one is over.
 
-    `taken` says how many it took; that and the queue are looked at together only within `gate`. Within `weights`
-    nothing learns.
+    `held`: it takes nothing, as it is to be saved. `taken` says how many it took; that and the queue are looked at
+    together only within `gate`. Within `weights` nothing learns.
     """
 
     taken: int
+    held: bool
     update: Update | None
     gate: AbstractContextManager[Any]
     weights: AbstractContextManager[Any]
@@ -29,13 +31,25 @@ class Processor(Protocol):
         """Begin to work."""
 
     def wake(self) -> None:
-        """Say that transitions wait."""
+        """Say that transitions wait, and are not to be held back."""
 
     def next_event(self, now: int) -> int | None:
         """Return when (ns) it will be done with what it does, where that is known."""
 
     def close(self) -> None:
         """End; what it was doing is left where it is."""
+
+    def settle(self) -> int:
+        """Take nothing more; return how many were taken of which nothing is done before all is."""
+
+    def unsettle(self) -> None:
+        """Go on, if it was held back."""
+
+    def save(self) -> Saved | None:
+        """Return what it is doing, if anything; nothing of it is done yet."""
+
+    def restore(self, saved: Saved | None) -> None:
+        """Go on with what was saved."""
 
 
 class Elsewhere:
@@ -58,6 +72,12 @@ class Elsewhere:
         with self._processor.gate:
             return len(self._queue) + self._processor.taken - self._over
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one, as far as can be told."""
+        update = self._processor.update
+        return self.backlog.learned, update.pieces if update else 0
+
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
         with self._processor.gate:
@@ -68,9 +88,10 @@ class Elsewhere:
     async def learn(self) -> None:
         """Hand over what waits; where no device paces the cycle, wait until it is learned or something is new."""
         await self.relieve()
-        if self._queue:
+        if self._queue and not self._processor.held:
             self._processor.wake()
         if not self._senses.paced and self.length:
+            self._processor.wake()
             self._senses.watch()
             while self.length and not self._senses.news():
                 await self._senses.wait_for_news(self._progress)
@@ -102,6 +123,25 @@ class Elsewhere:
     def close(self) -> None:
         """End learning."""
         self._processor.close()
+
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; until `unsettle` nothing more is begun."""
+        return self._over == self._processor.taken - self._processor.settle()
+
+    def unsettle(self) -> None:
+        """Let learning go on."""
+        self._processor.unsettle()
+
+    def save(self) -> Saved:
+        """Return what is being learned; the queue is the agent's."""
+        backlog, doing = self.backlog, self._processor.save()
+        return {"doing": doing, "failed": backlog.failed, "learned": backlog.learned, "called": self.called}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self.backlog.failed, self.backlog.learned = saved["failed"], saved["learned"]
+        self.called = saved["called"]
+        self._processor.restore(saved["doing"])
 
     async def _learn_until(self, deadline: int | None) -> None:
         self._processor.wake()

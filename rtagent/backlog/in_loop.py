@@ -11,6 +11,7 @@ from typing import Any
 from rtagent.backlog.backlog import DEFERRED, IN_PLACE, UNDER_PRESSURE, Backlog
 from rtagent.clock import ready_counter
 from rtagent.learn import When, Where
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
 
@@ -51,6 +52,12 @@ class Inline:
     def length(self) -> int:
         """How many transitions wait or are being learned."""
         return len(self.backlog)
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one."""
+        current = self.backlog.current
+        return self._in_place + self.backlog.learned, current.pieces if current else 0
 
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
@@ -93,6 +100,36 @@ class Inline:
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
+
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; `wait`: see to it."""
+        update = self.backlog.current
+        if update is not None and update.begun and wait:
+            while not self.backlog.step(update):
+                pass
+            self.backlog.end(update)
+        return self.backlog.current is None or not self.backlog.current.begun
+
+    def unsettle(self) -> None:
+        """Do nothing: it went on."""
+
+    def save(self) -> Saved:
+        """Return the update whose cost has partly passed, if any, and what was counted."""
+        backlog = self.backlog
+        return {
+            "current": None if backlog.current is None else backlog.current.save(),
+            "failed": backlog.failed,
+            "called": self.called,
+            "in_place": self._in_place,
+            "learned": backlog.learned,
+        }
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        current, backlog = saved["current"], self.backlog
+        backlog.current = None if current is None else backlog.again(current, sliced=bool(backlog.rules.slice))
+        backlog.failed, backlog.learned = saved["failed"], saved["learned"]
+        self.called, self._in_place = saved["called"], saved["in_place"]
 
     def _learn_at_once(self) -> None:
         """Learn all that waits, each in one piece and at no cost but its own: what is done in every cycle."""

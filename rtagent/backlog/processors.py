@@ -10,6 +10,7 @@ from typing import Any
 
 from rtagent.backlog.backlog import Backlog, Update
 from rtagent.clock import occupy
+from rtagent.saving import Saved
 
 JOIN_TIMEOUT = 1.0
 """So long (s) is waited for a thread whose learner does not return."""
@@ -26,7 +27,7 @@ class LearnerThread:
         self.gate: AbstractContextManager[Any] = threading.Lock()
         self.weights: AbstractContextManager[Any] = _Turn(self.gate, threading.Lock())
         self._waiting = threading.Semaphore(0)
-        self._closing = False
+        self._closing = self.held = False
         self._thread = threading.Thread(target=self._work, name="rtagent-learner", daemon=True)
 
     def start(self, backlog: Backlog, over: Over) -> None:
@@ -35,12 +36,31 @@ class LearnerThread:
         self._thread.start()
 
     def wake(self) -> None:
-        """Say that transitions wait."""
+        """Say that transitions wait, and are not to be held back."""
+        self.held = False
         self._waiting.release()
 
     def next_event(self, now: int) -> int | None:
         """Return None: when it will be done is not known."""
         return None
+
+    def settle(self) -> int:
+        """Take nothing more; return 0, as any update may be half done."""
+        with self.gate:
+            self.held = True
+        return 0
+
+    def unsettle(self) -> None:
+        """Go on, if it was held back."""
+        if self.held:
+            self.wake()
+
+    def save(self) -> Saved | None:
+        """Return None: it is saved when it does nothing."""
+        return None
+
+    def restore(self, saved: Saved | None) -> None:
+        """Do nothing: it did nothing."""
 
     def close(self) -> None:
         """End after the piece of work that it is at."""
@@ -64,7 +84,8 @@ class LearnerThread:
 
     def _take(self) -> Update | None:
         with self.gate:
-            self.update = self._backlog.take(sliced=True) if self._backlog.queue else None
+            takes = bool(self._backlog.queue) and not self.held
+            self.update = self._backlog.take(sliced=True) if takes else None
             self.taken += self.update is not None
         return self.update
 
@@ -105,7 +126,7 @@ class SecondProcessor:
     """The second processor of the virtual clock: a transition is learned when its cost has passed."""
 
     def __init__(self) -> None:
-        self.taken = 0
+        self.taken, self.held = 0, False
         self.update: Update | None = None
         self.gate: AbstractContextManager[Any] = nullcontext()
         self.weights: AbstractContextManager[Any] = nullcontext()
@@ -119,15 +140,35 @@ class SecondProcessor:
     def wake(self) -> None:
         """Say that transitions wait."""
         if self.update is None and self._backlog.queue:
-            self.update = self._backlog.take(sliced=False)
-            self.taken += 1
-            self.update.began = self._backlog.desk.clock.now()
-            self._until = self.update.began + self.update.cost
-            self._timer = self._loop.call_later(self.update.cost / 1e9, self._finish, self.update)
+            update = self._backlog.take(sliced=False)
+            self._learn(update, self._backlog.desk.clock.now() + update.cost)
+
+    def _learn(self, update: Update, until: int) -> None:
+        self.update, self._until = update, until
+        update.began = until - update.cost
+        self.taken += 1
+        left = until - self._backlog.desk.clock.now()
+        self._timer = self._loop.call_later(left / 1e9, self._finish, update)
 
     def next_event(self, now: int) -> int | None:
         """Return when (ns) it will be done."""
         return None if self.update is None else self._until
+
+    def settle(self) -> int:
+        """Return how many are being learned: in one piece, when the cost has passed."""
+        return int(self.update is not None)
+
+    def unsettle(self) -> None:
+        """Do nothing: it was not held back."""
+
+    def save(self) -> Saved | None:
+        """Return the update whose cost passes, and when (ns) it will have passed."""
+        return None if self.update is None else self.update.save() | {"until": self._until}
+
+    def restore(self, saved: Saved | None) -> None:
+        """Go on with what was saved."""
+        if saved is not None:
+            self._learn(self._backlog.again(saved, sliced=False), saved["until"])
 
     def close(self) -> None:
         """End; what it was doing is left."""

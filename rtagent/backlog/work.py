@@ -11,6 +11,7 @@ from rtagent.backlog.elsewhere import Elsewhere
 from rtagent.backlog.in_loop import Inline, InLoop
 from rtagent.backlog.processors import LearnerThread, SecondProcessor
 from rtagent.learn import Where
+from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
 
@@ -30,6 +31,10 @@ class Work(Protocol):
     def length(self) -> int:
         """How many transitions wait or are being learned."""
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How many transitions were learned, and how many pieces of the next one."""
+
     def oldest_age(self, now: int) -> int:
         """Return for how long (ns) the oldest transition has waited."""
 
@@ -47,6 +52,21 @@ class Work(Protocol):
 
     def close(self) -> None:
         """End learning."""
+
+    def settle(self, wait: bool) -> bool:
+        """Say whether nothing is half learned, so that it can be saved; `wait`: see to it, if it can be done now.
+
+        Until `unsettle` nothing more is begun elsewhere.
+        """
+
+    def unsettle(self) -> None:
+        """Let learning go on."""
+
+    def save(self) -> Saved:
+        """Return what is being learned, and what was counted; the queue is the agent's."""
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
 
 
 def make_work(

@@ -18,6 +18,9 @@ def overrides(scenario: str, arguments: argparse.Namespace) -> list[str]:
     """Return all of it as texts key=value; raise `ScenarioError` where `--data` finds no recording to set."""
     options = {name: getattr(arguments, name, None) for name in OPTIONS}
     own = [f"run.{name}={value}" for name, value in options.items() if value is not None]
+    checkpoint = getattr(arguments, "checkpoint", None)
+    if checkpoint is not None:
+        own.append(f"checkpoint.file={json.dumps(checkpoint)}")
     files = [] if arguments.data is None else _files(scenario, arguments.data, arguments.set)
     return [*files, *arguments.set, *own]
 

@@ -24,7 +24,7 @@ class Progress:
     def __init__(self, scenario: Scenario, assembly: Assembly, granted: Manners, out: TextIO) -> None:
         run, plan = scenario.model.run, assembly.plan
         self._out, self._reacts = out, assembly.schedule.acts
-        self._total = plan.trials * plan.episodes
+        self._total, self._episodes = plan.trials * plan.episodes, plan.episodes
         self._done = self._steps = 0
         self._reactions: list[int] = []
         self._print(
@@ -39,11 +39,11 @@ class Progress:
 
     def episode_ended(self, record: EpisodeRecord) -> None:
         """Draw the bar, or print a line."""
-        self._done += 1
+        self._done = record.trial * self._episodes + record.episode + 1
         self._steps += record.steps
         self._reactions += [reaction.time for reaction in record.reactions.reactions]
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], advance=1, said=self._said())
+            self._bar.update(self._bar.task_ids[0], completed=self._done, said=self._said())
             self._bar.refresh()
         elif self._done * LINES // self._total > (self._done - 1) * LINES // self._total:
             self._print(f"episode {self._done} of {self._total}, {self._said()}")

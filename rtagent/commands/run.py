@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from rtagent import __version__
+from rtagent.checkpoint.keeper import Keeper
+from rtagent.commands.checkpoints import keeper_of, told
 from rtagent.commands.overrides import overrides
 from rtagent.commands.progress import Progress
 from rtagent.commands.report import print_report
-from rtagent.errors import RtagentError, ScenarioError
+from rtagent.errors import CheckpointError, RtagentError, ScenarioError
 from rtagent.latch import Latch
 from rtagent.realtime import Manners, manners
 from rtagent.result import Result, RunError
@@ -34,25 +36,30 @@ def run_command(arguments: argparse.Namespace) -> int:
         _check_recording(arguments.record)
         scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
-    except ScenarioError as error:
+        keeper = keeper_of(scenario, resume=arguments.resume)
+    except (ScenarioError, CheckpointError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     with manners(assembly.realtime, scenario.model.run.clock, busy=assembly.never_sleeps) as granted:
-        return _run(scenario, assembly, granted, arguments)
+        return _run(scenario, assembly, granted, keeper, arguments)
 
 
-def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: argparse.Namespace) -> int:
+def _run(
+    scenario: Scenario, assembly: Assembly, granted: Manners, keeper: Keeper | None, arguments: argparse.Namespace
+) -> int:
     out = sys.stderr if arguments.json == "-" else sys.stdout
+    if keeper is not None and keeper.resumed is not None and not arguments.quiet:
+        out.write(f"{told(keeper, keeper.resumed)}\n")
     progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
     timeline = Timeline() if arguments.trace else None
-    told = _tell_refused(granted.refused)
+    refused = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
     telemetry = _open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
         heard = (progress, timeline, telemetry and telemetry.collector)
-        run = assembly.run([each for each in heard if each is not None], habits, latch)
+        run = assembly.run([each for each in heard if each is not None], habits, latch, keeper)
         result = granted.run(
             _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
         )
@@ -68,7 +75,7 @@ def _run(scenario: Scenario, assembly: Assembly, granted: Manners, arguments: ar
             _tell_refused(telemetry.close(_end_in_words(result, failure)))
     if not arguments.quiet:
         print_report(result, out)
-    _tell_refused(granted.refused[told:])
+    _tell_refused(granted.refused[refused:])
     if failure is not None:
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)

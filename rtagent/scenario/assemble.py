@@ -12,6 +12,7 @@ from numpy.random import Generator
 
 from rtagent import plugins
 from rtagent.agent import Agent
+from rtagent.checkpoint.keeper import Keeper
 from rtagent.costs import Cost, Costs
 from rtagent.device import Device, Finite, Guarded
 from rtagent.errors import RtagentError, ScenarioError, SpecError
@@ -82,7 +83,11 @@ class Assembly:
         return second / max(rates) if waits else 0.0
 
     async def run(
-        self, instruments: Iterable[object] = (), habits: Habits = NO_HABITS, latch: Latch | None = None
+        self,
+        instruments: Iterable[object] = (),
+        habits: Habits = NO_HABITS,
+        latch: Latch | None = None,
+        keeper: Keeper | None = None,
     ) -> Result:
         """Run it under the clock of the running event loop; see `rtagent.run`."""
         return await run(
@@ -97,6 +102,7 @@ class Assembly:
             habits=habits,
             latch=latch,
             watchdog=self.watchdog,
+            keeper=keeper,
         )
 
 

@@ -113,6 +113,15 @@ class SupervisionTable(Table):
     stale_after: Duration = Field(0, description="samples older than this are marked stale; 0: never")
 
 
+class CheckpointTable(Table):
+    """What is kept of a run, so that it can be gone on with."""
+
+    file: str = Field("", description="the file that holds the newest checkpoint; without one, nothing is kept")
+    every: Duration = Field(0, description="another is kept so often; 0: never by time")
+    episodes: int = Field(1, ge=0, description="and at the end of every so many episodes; 0: of the last one only")
+    step: int = Field(0, ge=0, description="and once, after so many steps of the run; 0: never")
+
+
 class StopTable(Table):
     """How a run ends."""
 
@@ -256,6 +265,7 @@ class ScenarioModel(Table):
     learner: TypedTable
     horde: HordeTable | None = None
     policy: TypedTable | None = None
+    checkpoint: CheckpointTable = Field(default_factory=CheckpointTable)
     stop: StopTable = Field(default_factory=StopTable)
     watchdog: WatchdogTable = Field(default_factory=WatchdogTable)
     telemetry: TelemetryTable = Field(default_factory=TelemetryTable)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.task import require
 from rtagent.tasks.sensors import Readings, numbers_sensed, picked
@@ -14,6 +15,8 @@ from rtagent.units import Angle, AngularVelocity, Duration, degree, second
 
 MOVE, STOP = 0, 1
 EMERGENCY = "emergency"
+EPISODE, COSTS = ("_emergency", "_answered"), ("_since", "_needless", "_told")
+"""What is saved."""
 
 
 class ArmStopping:
@@ -100,6 +103,15 @@ class ArmStopping:
         """Say that stop is the correct answer."""
         return action == STOP
 
+    def save(self) -> Saved:
+        """Return what has happened in the episode, as far as its reward and its end depend on it."""
+        return save_fields(self, EPISODE) | {"costs": self._costs.save()}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned in the middle of an episode."""
+        restore_fields(self, EPISODE, saved)
+        self._costs.restore(saved["costs"])
+
     def _rests(self, joint: Sample) -> bool:
         return abs(float(joint.values[self._velocity_at])) < self._at_rest
 
@@ -151,3 +163,11 @@ class _Costs:
         total = -(self._needless + emergency)
         reward, self._told = total - self._told, total
         return reward
+
+    def save(self) -> Saved:
+        """Return what was noted and told."""
+        return save_fields(self, COSTS)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, COSTS, saved)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.task import RewardMeter, require
 
@@ -66,6 +67,14 @@ class EnvironmentTask:
     def answers(self, action: int, stimulus: Stimulus) -> bool:
         """Say that nothing answers anything: an environment has no stimuli."""
         return False
+
+    def save(self) -> Saved:
+        """Return what was earned in the episode so far."""
+        return self._reward.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned in the middle of an episode."""
+        self._reward.restore(saved)
 
     def _outside_calm(self, samples: Mapping[str, Sample]) -> bool:
         values = samples[self._environment].values

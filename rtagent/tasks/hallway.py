@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.task import RewardMeter, require
 
@@ -45,3 +46,11 @@ class HallwayTask:
     def answers(self, action: int, stimulus: Stimulus) -> bool:
         """Say that left is the correct answer."""
         return action == LEFT
+
+    def save(self) -> Saved:
+        """Return what was earned in the episode so far."""
+        return self._reward.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned in the middle of an episode."""
+        self._reward.restore(saved)

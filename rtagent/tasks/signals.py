@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import Command, Observation, Outcome, Stimulus
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.tasks.sensors import Readings, Sensor, numbers_sensed, picked
 
@@ -54,6 +55,13 @@ class Signals:
     def answers(self, action: int, stimulus: Stimulus) -> bool:
         """Say that nothing answers anything."""
         return False
+
+    def save(self) -> Saved:
+        """Return nothing: it remembers nothing."""
+        return {}
+
+    def restore(self, saved: Saved) -> None:
+        """Do nothing."""
 
     def _chosen(self, there: Sequence[Sensor]) -> list[Sensor]:
         usable = [sensor for sensor in there if not _is_end(sensor)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec
 from rtagent.task import RewardMeter, require
 from rtagent.tasks.sensors import Readings, numbers_sensed, picked
@@ -61,3 +62,11 @@ class Stopping:
     def answers(self, action: int, stimulus: Stimulus) -> bool:
         """Say that stop is the correct answer."""
         return action == STOP
+
+    def save(self) -> Saved:
+        """Return what was earned in the episode so far."""
+        return self._reward.save()
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned in the middle of an episode."""
+        self._reward.restore(saved)

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from rtagent.agent import Agent
+from rtagent.checkpoint.digest import digest_of
 from rtagent.experience import Observation
 from rtagent.learning import Horde, WithHorde
 from rtagent.recorder import EpisodeRecord
@@ -18,11 +19,11 @@ from rtagent.telemetry.predictions import Newest
 
 Calls = Sequence[tuple[str, tuple[Any, ...]]]
 
-NO_RECORD = ("component", "chose", "trial_began", "run_ended")
+NO_RECORD = ("component", "had_learned", "trial_began", "run_ended")
 """Calls that no record is made of, or only with others."""
 STREAMS = {
-    "acted": "action", "learned": "transition", "reacted": "reaction", "episode_began": "event",
-    "episode_ended": "episode", "fault": "fault",
+    "chose": "choice", "acted": "action", "learned": "transition", "reacted": "reaction", "episode_began": "event",
+    "episode_ended": "episode", "trial_ended": "event", "fault": "fault",
 }  # fmt: skip
 """The streams that a call is one record of."""
 
@@ -89,6 +90,10 @@ class Collector:
         times = ([reaction.time for reaction in seen.reactions], list(seen.responses))
         ended = (record.trial, record.episode, record.began, record.ended, record.total_reward, record.steps)
         self._put([("episode_ended", (*ended, record.truncated, *times, *counts))])
+
+    def trial_ended(self, trial: int, agent: Agent) -> None:
+        """Append the digest of what was learned."""
+        self._put([("trial_ended", (trial, digest_of(agent)))])
 
     def fault(self, source: str, message: str, time: int) -> None:
         """Append that something failed."""

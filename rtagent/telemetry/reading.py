@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, cast
 
 import msgspec
 
@@ -71,6 +71,17 @@ def read_run(path: str | Path) -> Run:
     return record
 
 
+class _Bounded:
+    """A file that is never asked for more than it holds: for a damaged length memory would be made."""
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self._file, self._size = file, size
+
+    def read(self, length: int) -> bytes:
+        """Return as many bytes as there still are."""
+        return self._file.read(min(length, max(0, self._size - self._file.tell())))
+
+
 class Scan:
     """The entries of a file, in their order; `damage` tells afterwards what was not found.
 
@@ -105,7 +116,8 @@ class Scan:
     def _parts(self, file: IO[bytes]) -> Iterator[Any]:
         """Yield the records of the file, chunks as they are, and None at its end, if it has one."""
         try:
-            reader = StreamReader(file, emit_chunks=True, record_size_limit=self._path.stat().st_size)
+            size = self._path.stat().st_size
+            reader = StreamReader(cast("IO[bytes]", _Bounded(file, size)), emit_chunks=True, record_size_limit=size)
             for part in reader.records:
                 yield None if isinstance(part, Footer) else part
         except UNREADABLE:

@@ -99,6 +99,15 @@ class Observation(Record, kw_only=True, frozen=True):
     stale: list[str]
 
 
+class Choice(Record, kw_only=True, frozen=True):
+    """An action was chosen: `learned` transitions of the trial had been learned, and `pieces` of the next one."""
+
+    action: int
+    probability: float
+    learned: int
+    pieces: int
+
+
 class Action(Record, kw_only=True, frozen=True):
     """An action that was taken: with which probability it was chosen, when, and what the devices really took.
 
@@ -171,13 +180,16 @@ class Stimulus(Record, kw_only=True, frozen=True):
 
 
 class Event(Record, kw_only=True, frozen=True):
-    """Something to remember: an annotation of a person's, an episode that began, a command that was given.
+    """Something to remember: an annotation of a person's, an episode that began, the end of a trial, a command.
 
-    `name` is annotation, episode, stop, press or recording.
+    `name` is annotation, episode (with its `trial` and `episode`), learned (the digest of what an agent has
+    learned when its `trial` ends), stop, press or recording.
     """
 
     name: str
     text: str
+    trial: int | None = None
+    episode: int | None = None
 
 
 class Fault(Record, kw_only=True, frozen=True):
@@ -219,6 +231,7 @@ STREAMS: Mapping[str, type[Record]] = {
     "run": Run,
     "sample": Sample,
     "observation": Observation,
+    "choice": Choice,
     "action": Action,
     "transition": Transition,
     "prediction": Prediction,

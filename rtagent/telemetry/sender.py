@@ -34,6 +34,8 @@ PAUSE = 0.004
 """How long (s) it rests where there is nothing to send: nobody has to wake it."""
 AT_ONCE = 200
 """So many messages are sent before it looks at anything else."""
+LITTLE, BREATH = 1 << 17, 0.0005
+"""Where fewer bytes wait, it rests (s) after each message: a loop that wants its processor waits for no more."""
 OPENING = 2.0
 """How long (s) what comes first waits for Zenoh."""
 CLOSING = 0.3
@@ -97,10 +99,12 @@ class Sender:
         """Send until the run has ended and all that it wrote is sent."""
         running = True
         while running:
-            busy = self._send_some()
-            running = not select.select([ORDERS], [], [], 0 if busy else PAUSE)[0]
+            little = self._ring.filled < LITTLE
+            busy = self._send_some(1 if little else AT_ONCE)
+            rest = PAUSE if not busy else BREATH if little else 0
+            running = not select.select([ORDERS], [], [], rest)[0]
             self._look()
-        while self._send_some():
+        while self._send_some(AT_ONCE):
             self._look()
 
     def end(self) -> None:
@@ -110,9 +114,9 @@ class Sender:
             self._publisher.close(CLOSING)
         _tell(closed=self._recorder is None or self._recorder.close(WRITING_OUT))
 
-    def _send_some(self) -> bool:
-        """Send what waits, but not too much at once; say whether there was something."""
-        for sent in range(AT_ONCE):
+    def _send_some(self, most: int) -> bool:
+        """Send so many of the messages that wait; say whether there was one."""
+        for sent in range(most):
             message = self._ring.read()
             if message is None:
                 return sent > 0

@@ -35,6 +35,7 @@ class Unpacker:
         self._last_sample: dict[str, tuple[int, int]] = {}
         self._about = self._learned_at = 0
         self._chosen: tuple[float, int | None] = (1.0, None)
+        self._progress = (0, 0)
         self.time = 0
         """The time of the newest record, in ns."""
 
@@ -101,6 +102,13 @@ class Unpacker:
 
     def _chose(self, action: int, probability: float, time: int) -> Iterator[Record]:
         self._chosen = (probability, time)
+        learned, pieces = self._progress
+        yield self.make(
+            records.Choice, time, action=action, probability=probability, learned=learned, pieces=pieces
+        )
+
+    def _had_learned(self, transitions: int, pieces: int) -> Iterator[Record]:
+        self._progress = (transitions, pieces)
         return iter(())
 
     def _acted(self, action: int, sent: Any, start: int, end: int) -> Iterator[Record]:
@@ -130,7 +138,8 @@ class Unpacker:
         )
 
     def _episode_began(self, trial: int, episode: int, time: int) -> Iterator[Record]:
-        yield self.make(records.Event, time, name="episode", text=f"episode {episode} of trial {trial} began")
+        text = f"episode {episode} of trial {trial} began"
+        yield self.make(records.Event, time, name="episode", text=text, trial=trial, episode=episode)
 
     def _episode_ended(self, *args: Any) -> Iterator[Record]:
         names = (
@@ -139,6 +148,9 @@ class Unpacker:
         )  # fmt: skip
         fields = dict(zip(names, args, strict=True))
         yield self.make(records.Episode, fields["ended_ns"], **fields)
+
+    def _trial_ended(self, trial: int, digest: str) -> Iterator[Record]:
+        yield self.make(records.Event, self.time, name="learned", text=digest, trial=trial)
 
     def _fault(self, source: str, message: str, time: int) -> Iterator[Record]:
         yield self.make(records.Fault, time, source=source, message=message)

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from rtagent.saving import Saved
 from rtagent.units import ms, second
 from rtagent_drivers.arduino.layouts import HANDI_PINS
 from rtagent_drivers.arduino.messages import LARGEST_READING
@@ -48,6 +49,12 @@ class Body(Protocol):
 
     def turn(self, now: int, servo: int, goal: float | None, speed: float = FASTEST) -> None:
         """Send a servo (by its number) to a fraction of its range, at ranges a second; None: it goes limp."""
+
+    def save(self) -> Saved:
+        """Return what has become of it since it began."""
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
 
 
 class Rhythm:
@@ -91,6 +98,14 @@ class Digit:
         self._ways = self._ways[-KEPT_WAYS:]
         self._ways.append(Way(now, at, at if goal is None else goal, min(speed, FASTEST), goal is None))
 
+    def save(self) -> Saved:
+        """Return its ways."""
+        return {"ways": [list(way) for way in self._ways]}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self._ways = [Way(*way) for way in saved["ways"]]
+
     def way(self, time: int) -> Way:
         """Return the motion that it was in at `time`."""
         return next((way for way in reversed(self._ways) if way.begins <= time), self._ways[0])
@@ -130,6 +145,15 @@ class Hand:
         if field.startswith("FSR"):
             return _noisy(LARGEST_READING * self._force(int(field[3:]), time), field, time)
         return 0
+
+    def save(self) -> Saved:
+        """Return the ways of its digits; the rest follows from when and from what it began."""
+        return {"digits": [digit.save() for digit in self._digits]}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        for digit, way in zip(self._digits, saved["digits"], strict=True):
+            digit.restore(way)
 
     def _place(self, digit: int, time: int) -> float:
         place, _ = self._aim(digit, time)
@@ -178,6 +202,13 @@ class Glove:
         share = minimum_jerk(since / self.MOVING)
         bend = (1.0 - share) * self._bends[number - 1, finger] + share * self._bends[number, finger]
         return _noisy(LEAST + (MOST - LEAST) * bend, pin, time)
+
+    def save(self) -> Saved:
+        """Return nothing: all follows from when and from what it began."""
+        return {}
+
+    def restore(self, saved: Saved) -> None:
+        """Do nothing."""
 
 
 BODIES: Mapping[str, Callable[[], Body]] = {

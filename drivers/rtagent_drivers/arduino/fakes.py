@@ -13,6 +13,7 @@ from numpy.random import Generator
 
 from rtagent.device import LastResort
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved, restore_parts, save_parts
 from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
 from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
@@ -67,6 +68,15 @@ class BoardWorld:
         for name, ramp in self._ramps.items():
             held = self._servos[name].fraction(ramp.at(now)) if holds and ramp.known else None
             self._body.turn(now, self._numbers[name], held)
+
+    def save(self) -> Saved:
+        """Return where its servos go, and what has become of the body."""
+        return {"body": self._body.save(), "ramps": save_parts(self._ramps)}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        self._body.restore(saved["body"])
+        restore_parts(self._ramps, saved["ramps"])
 
     def _turn(self, now: int, name: str, goal: float) -> None:
         servo = self._servos[name]

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.units import second
 from rtagent_drivers.arduino import frames, legacy
 from rtagent_drivers.arduino.settings import Servo
+
+WAY = ("known", "_from", "_goal", "_began", "_ends")
+"""What is saved of a way."""
 
 
 class Ramp:
@@ -44,6 +48,14 @@ class Ramp:
         if now >= self._ends:
             return self._goal
         return self._from + (self._goal - self._from) * (now - self._began) / (self._ends - self._began)
+
+    def save(self) -> Saved:
+        """Return the way that it is on."""
+        return save_fields(self, WAY)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, WAY, saved)
 
     @property
     def arrives(self) -> int:

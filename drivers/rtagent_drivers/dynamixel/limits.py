@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import Spec
 from rtagent.units import ms, second
 from rtagent_drivers.dynamixel.settings import Axis
@@ -17,6 +18,9 @@ OVERRUN = 0.15
 
 LOAD_MARGIN, LOAD_PATIENCE = 0.05, 500 * ms
 """Load is above its limit when it is so by this much, for so long: every start of a motion takes a moment of it."""
+
+MEASURED = ("_told", "_told_at", "_was_inside", "_heavy_since")
+"""What is saved."""
 
 
 class Reading(NamedTuple):
@@ -41,6 +45,14 @@ class JointLimits:
         """Begin anew from rest, as after it was made safe."""
         self._told, self._told_at = 0.0, -LONGEST_STEP
         self._was_inside, self._heavy_since = False, -1
+
+    def save(self) -> Saved:
+        """Return what was told, and what was measured lately."""
+        return save_fields(self, MEASURED)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        restore_fields(self, MEASURED, saved)
 
     def limit(self, value: float, now: int, reading: Reading | None) -> float:
         """Return the command nearest to `value` that is within limits, and remember it as given at `now` (ns)."""

@@ -10,8 +10,9 @@ from bisect import bisect_right
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from math import ceil, exp
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.units import second
 from rtagent_drivers.dynamixel.steps import FOREVER, LIMP, Body, Drive, Step
 
@@ -20,6 +21,9 @@ AMBIENT, HEATING, COOLING_TIME = 25.0, 100.0, 240.0
 
 REMEMBERED = 4096
 """Pieces that are kept; of older ones nothing is known any more."""
+
+STATE = ("_blocked", "_followed", "_since", "_let_go")
+"""What is saved of a motion as it is."""
 
 
 class State(NamedTuple):
@@ -56,6 +60,22 @@ class Motion:
         self._blocked = blocked
         self._anew(now)
 
+    def save(self) -> Saved:
+        """Return the pieces, and from what the last ones follow; the drive is not among it."""
+        pieces = [[piece.start, piece.end, *piece.step, piece.temperature, piece.warmth] for piece in self._pieces]
+        return {"pieces": pieces} | save_fields(self, STATE)
+
+    def restore(self, saved: Saved, drive: Drive) -> None:
+        """Take what `save` returned of a motion under this drive."""
+        self._drive, self._blocked = drive, saved["_blocked"]
+        self._starts, self._pieces = [], []
+        self._follow(*saved["_followed"])
+        while self._since < saved["_since"]:
+            self._append_next()
+        self._pieces = [_restored(*piece) for piece in saved["pieces"]]
+        self._starts = [piece.start for piece in self._pieces]
+        restore_fields(self, STATE, saved)
+
     def lets_go(self) -> int | None:
         """Return when (ns) its servo lets go, or has let go, under the drive that it has; None if it does not."""
         while self._pieces[-1].leads_on:
@@ -71,6 +91,7 @@ class Motion:
 
     def _follow(self, now: int, position: float, velocity: float, temperature: float) -> None:
         body = replace(self._body, low=position, high=position) if self._blocked else self._body
+        self._followed, self._since = [now, position, velocity, temperature], 0
         self._coming = _steps(self._drive, body, position, velocity)
         self._let_go: int | None = None
         self._append(now, temperature)
@@ -84,6 +105,7 @@ class Motion:
     def _append(self, start: int, temperature: float) -> None:
         self._pieces.append(_piece(start, next(self._coming), temperature, self._body))
         self._starts.append(start)
+        self._since += 1
         if len(self._pieces) > REMEMBERED:
             del self._starts[: REMEMBERED // 2], self._pieces[: REMEMBERED // 2]
 
@@ -117,6 +139,11 @@ class _Piece:
     def temperature_at(self, time: int) -> float:
         cold = exp(-max(0, time - self.start) / second / COOLING_TIME)
         return self.warmth + (self.temperature - self.warmth) * cold
+
+
+def _restored(start: int, end: int | None, *numbers: Any) -> _Piece:
+    *step, temperature, warmth = numbers
+    return _Piece(start, end, Step(*step), temperature, warmth)
 
 
 def _piece(start: int, step: Step, temperature: float, body: Body) -> _Piece:

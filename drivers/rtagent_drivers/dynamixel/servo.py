@@ -6,6 +6,7 @@ from math import copysign
 from typing import NamedTuple
 
 from rtagent.errors import SpecError
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import Spec, Value
 from rtagent.units import ms, second
 from rtagent_drivers.dynamixel.layout import Layout
@@ -25,6 +26,9 @@ from rtagent_drivers.dynamixel.values import to_si, unpack
 
 AHEAD = 50 * ms
 """So far ahead a motion is extrapolated, at most."""
+
+KNOWN = ("read_at", "silent_since", "error", "on")
+"""What is saved as it is."""
 
 
 class Told(NamedTuple):
@@ -58,6 +62,18 @@ class Servo:
         self.error = 0
         self.on = False
         self.limits.reset()
+
+    def save(self) -> Saved:
+        """Return what is known of it."""
+        reading = None if self.reading is None else list(self.reading)
+        return {"reading": reading, "limits": self.limits.save()} | save_fields(self, KNOWN)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        reading = saved["reading"]
+        self.reading = None if reading is None else Reading(*reading)
+        self.limits.restore(saved["limits"])
+        restore_fields(self, KNOWN, saved)
 
     def hear(self, data: bytes, now: int) -> Reading:
         """Take what the servo measured, at `now` (ns), in joint coordinates."""

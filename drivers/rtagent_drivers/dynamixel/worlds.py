@@ -8,6 +8,7 @@ from numpy.random import Generator
 
 from rtagent.errors import LimitError
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved, restore_parts, save_parts
 from rtagent.specs import DeviceSpec, Value
 from rtagent.units import second
 from rtagent_drivers.dynamixel.emulated.robots import Joint as EmulatedJoint
@@ -74,6 +75,15 @@ class ArmWorld:
         else:
             self._make_safe(now)
 
+    def save(self) -> Saved:
+        """Return the joints, and when they are to be released."""
+        return {"joints": save_parts(self._joints), "release_at": self._release_at}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, when it has begun."""
+        restore_parts(self._joints, saved["joints"])
+        self._release_at = saved["release_at"]
+
     def _pass(self, time: int) -> None:
         """Let happen what was to come until `time`."""
         if self._release_at is not None and self._release_at <= time:
@@ -101,6 +111,15 @@ class _Joint:
         kept = driven.model.modes[driven.axis.joint.mode]
         for name, count in [*kept.items(), *volatile(driven)]:
             servo.memory[name] = count
+
+    def save(self) -> Saved:
+        """Return both sides of it."""
+        return {"driven": self._driven.save(), "servo": self._servo.save()}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self._driven.restore(saved["driven"])
+        self._servo.restore(saved["servo"])
 
     def begin(self, now: int) -> None:
         start = self._driven.axis.joint.start

@@ -12,6 +12,7 @@ from rtagent.clock import current
 from rtagent.errors import DisconnectedError, SpecError
 from rtagent.experience import Command, Sample
 from rtagent.memory import claim
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.specs import DeviceSpec
 from rtagent.units import second
 from rtagent_drivers.webcam.features import Features
@@ -141,6 +142,14 @@ class FilmDevice:
     async def close(self) -> None:
         """Stop looking; it plays on."""
         self._opened = False
+
+    def save(self) -> Saved:
+        """Return when it began."""
+        return save_fields(self, ("_start",))
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned, before it is opened: it then goes on from there."""
+        restore_fields(self, ("_start",), saved)
 
     def next_event(self, now: int) -> int | None:
         """Return when the next frame arrives."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.random import Generator
 
 from rtagent.experience import Command, Stimulus, Values
+from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec
 from rtagent.units import ms, second
 from rtagent_drivers.webcam.features import Features
@@ -157,3 +158,10 @@ class CameraWorld:
 
     def make_safe(self, now: int) -> None:
         """Do nothing: it moves nothing."""
+
+    def save(self) -> Saved:
+        """Return nothing: all follows from when and from what it began."""
+        return {}
+
+    def restore(self, saved: Saved) -> None:
+        """Do nothing."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
+import numpy as np
+
+from rtagent.saving import Saved
 from rtagent_drivers.dynamixel import values
 from rtagent_drivers.dynamixel.control_table import Model, Register
 
@@ -63,6 +66,14 @@ class Memory:
     def read(self, address: int, length: int) -> bytes | None:
         """Return a stretch of it, or None where it is not that long."""
         return bytes(self._bytes[address : address + length]) if address + length <= len(self._bytes) else None
+
+    def save(self) -> Saved:
+        """Return all of it."""
+        return {"bytes": np.frombuffer(bytes(self._bytes), np.uint8)}
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self._bytes[:] = saved["bytes"].tobytes()
 
     def refuses(self, address: int, data: bytes, *, locked: bool) -> Refusal | None:
         """Return why `data` cannot be written, or None; `locked` protects what is kept without power."""

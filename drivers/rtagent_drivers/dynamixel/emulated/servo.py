@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rtagent.errors import SpecError
+from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.units import ms
 from rtagent_drivers.dynamixel import values
 from rtagent_drivers.dynamixel.emulated.drives import beyond_limits, drive, mode
@@ -29,6 +30,9 @@ REBOOTING = 150 * ms
 
 GOALS = frozenset({"goal_position", "goal_velocity", "goal_torque", "goal_pwm"})
 LOGGED = ("torque_enable", "torque_limit", "bus_watchdog", "operating_mode", *sorted(GOALS))
+
+KEPT = ("_latched", "_live", "_heard_at", "_deaf_until")
+"""What is saved of a servo as it is."""
 
 Tell = Callable[[int, "Servo", str, Any], None]
 """Takes what happened to a servo: when (ns), to which, what, and the value."""
@@ -162,6 +166,17 @@ class Servo:
         self.memory["torque_enable"] = 0
         self._drive = LIMP
         self.motion = Motion(self.joint.body, position, now)
+
+    def save(self) -> Saved:
+        """Return its control table, its motion and its errors; of what came over a line nothing is kept."""
+        return {"memory": self.memory.save(), "motion": self.motion.save()} | save_fields(self, KEPT)
+
+    def restore(self, saved: Saved) -> None:
+        """Take what `save` returned."""
+        self.memory.restore(saved["memory"])
+        restore_fields(self, KEPT, saved)
+        self._drive = drive(self.memory, self.model)
+        self.motion.restore(saved["motion"], self._drive)
 
     def state(self, now: int) -> State:
         """Return the true state of the joint."""

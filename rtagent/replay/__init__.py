@@ -1,0 +1,1 @@
+"""Replay: what was recorded of a run, through the same agent again, or through another one."""

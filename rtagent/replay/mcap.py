@@ -1,0 +1,140 @@
+"""Recordings as telemetry makes them: from the records of an MCAP file to what a replay needs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from rtagent.errors import ReplayError
+from rtagent.experience import Observation, Sample
+from rtagent.replay.events import Acted, Began, Chose, Ended, Event, Knew, Learned, Observed, Recorded
+from rtagent.specs import Value
+from rtagent.telemetry import records
+from rtagent.telemetry.records import STREAMS, Record
+
+NEEDED = ("run", "event", "sample", "observation", "choice", "action", "transition", "episode")
+"""The streams that are read: nothing of them may be missing."""
+
+Stored = tuple[str, int, bytes]
+"""A stream, the number of a message in it, and its data."""
+
+
+def read_recording(path: Path) -> Recorded:
+    """Return what an MCAP file holds, read when it is asked for; raise `ReplayError` where that is no recording."""
+    for stream, _, data in _stored(path):
+        if stream == "run":
+            run = _decoded(path, "run", data)
+            assert isinstance(run, records.Run), "that is what the stream holds"
+            return Recorded(_given(run.scenario), _events(path, run))
+    raise ReplayError(f"{path} tells of no run: give a recording that `rtagent run --record` has made.")
+
+
+def _stored(path: Path) -> Iterator[Stored]:
+    """Yield what is stored, in the order in which it was written."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            messages = make_reader(file, validate_crcs=True).iter_messages(NEEDED, log_time_order=False)
+            for _, channel, message in messages:
+                yield channel.topic, message.sequence, message.data
+    except FileNotFoundError:
+        raise ReplayError(f"there is no recording {path}.") from None
+    except OSError as error:
+        raise ReplayError(f"{path} cannot be read: {error.strerror or error}.") from None
+    except McapError as error:
+        raise ReplayError(
+            f"{path} is no recording, or not a whole one ({str(error).rstrip('.')}): "
+            f"`rtagent recover {path}` makes one that was cut off whole."
+        ) from None
+
+
+def _decoded(path: Path, stream: str, data: bytes) -> Record:
+    try:
+        return msgspec.json.decode(data, type=STREAMS[stream])
+    except msgspec.MsgspecError as error:
+        raise ReplayError(f"{path} has a record of {stream} that cannot be read: {error}.") from None
+
+
+def _events(path: Path, run: records.Run) -> Iterator[Event]:
+    reading = _Reading(path, run)
+    for stream, number, data in _stored(path):
+        reading.check_whole(stream, number)
+        yield from reading.events(_decoded(path, stream, data))
+
+
+class _Reading:
+    """Follows the records of a recording; an observation is made of the newest samples."""
+
+    def __init__(self, path: Path, run: records.Run) -> None:
+        self._path = path
+        self._arrays = {name: _arrays(device) for name, device in run.devices.items()}
+        self._next: defaultdict[str, int] = defaultdict(int)
+        self._samples: dict[str, Sample] = {}
+
+    def check_whole(self, stream: str, number: int) -> None:
+        """Raise `ReplayError` where records of a stream are missing before this one; the run's may be."""
+        expected, self._next[stream] = self._next[stream], number + 1
+        if number != expected and stream != "run":
+            raise ReplayError(
+                f"{self._path} lacks {number - expected} records of {stream} before number {number}: "
+                "what is not whole cannot be replayed. Record with a larger telemetry.buffer."
+            )
+
+    def events(self, record: Record) -> Iterator[Event]:
+        """Yield what a record means."""
+        match record:
+            case records.Sample():
+                self._samples[record.device] = self._sample(record)
+            case records.Observation():
+                yield Observed(self._observation(record))
+            case records.Choice():
+                yield Chose(record.action, record.probability, record.learned, record.pieces)
+            case records.Action():
+                yield Acted()
+            case records.Transition():
+                yield Learned(float("nan") if record.delta is None else record.delta)
+            case records.Episode():
+                yield Ended()
+            case records.Event(name="episode", trial=int(trial), episode=int(episode)):
+                yield Began(trial, episode, record.time_ns)
+            case records.Event(name="learned"):
+                yield Knew(record.text)
+
+    def _sample(self, record: records.Sample) -> Sample:
+        arrays = self._arrays.get(record.device, {})
+        values: dict[str, Value] = {
+            name: np.array(value, arrays[name]) if name in arrays else _number(value)
+            for name, value in record.values.items()
+        }
+        source: Any = record.time_source
+        return Sample(values, record.world_time_ns, record.arrival_time_ns, record.number, source)
+
+    def _observation(self, record: records.Observation) -> Observation:
+        for device, number in record.samples.items():
+            if device not in self._samples or self._samples[device].sequence != number:
+                raise ReplayError(f"{self._path} lacks sample {number} of {device!r}, which was observed.")
+        samples = {device: self._samples[device] for device in record.samples}
+        return Observation(record.time_ns, samples, frozenset(record.stale))
+
+
+def _arrays(device: records.DeviceSignals) -> Mapping[str, str]:
+    """Return the types of those sensors that are arrays."""
+    return {name: signal.dtype for name, signal in device.sensors.items() if signal.shape}
+
+
+def _given(table: Any) -> Any:
+    """Return a table without what is None: JSON has no infinity, which is a default wherever it is."""
+    if isinstance(table, dict):
+        return {name: _given(value) for name, value in table.items() if value is not None}
+    return [_given(value) for value in table] if isinstance(table, list) else table
+
+
+def _number(value: Any) -> Value:
+    return value  # type: ignore[no-any-return]  # what is no array is a number
