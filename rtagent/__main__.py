@@ -39,6 +39,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_list(commands)
     _add_stop(commands)
     _add_watch(commands)
+    _add_view(commands)
     _add_recordings(commands)
     _add_replay(commands)
     _add_emulate(commands)
@@ -99,6 +100,15 @@ def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     watch.add_argument("--once", action="store_true", help="print what is known of each run once, and end")
     add_access(watch)
     watch.set_defaults(command=_watch)
+
+
+def _add_view(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    view = commands.add_parser("view", help="show what goes on in runs, on a page in the browser")
+    view.add_argument("run", nargs="?", default="*", metavar="AGENT", help="those of this agent only")
+    view.add_argument("--port", type=_port, default=7480, metavar="N", help="serve it there (7480; 0: any)")
+    view.add_argument("--open", action="store_true", help="open it in the browser")
+    add_access(view)
+    view.set_defaults(command=_view)
 
 
 def _add_recordings(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -224,6 +234,18 @@ def _watch(arguments: argparse.Namespace) -> int:
     from rtagent.commands.watch import watch_command
 
     return watch_command(arguments)
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port: give a number up to 65535, or 0 for any")
+    return int(text)
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.view import view_command
+
+    return view_command(arguments)
 
 
 def _info(arguments: argparse.Namespace) -> int:

@@ -96,6 +96,8 @@ class Publisher:
             )
             for stream in STREAMS
         }
+        if "run" in self._newest:  # those who watched before the run began have not heard of it
+            self._publishers["run"].put(self._newest["run"])
         self._token = session.liveliness().declare_token(place.run)  # ends where nobody holds it
 
     def _answer_newest(self, query: Any) -> None:

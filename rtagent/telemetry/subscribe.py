@@ -39,11 +39,14 @@ class Reader:
         self._next: dict[str, int] = {}
 
     def read(self, key: str, data: bytes) -> Message | None:
-        """Return the message of a record, or None where it is known already, or of a stream of another version."""
+        """Return the message of a record, or None where it is known already, or of another version."""
         place, stream = place_of(key), key.rsplit("/", 1)[1]
         if stream not in DECODERS:
             return None
-        record = DECODERS[stream].decode(data)
+        try:
+            record = DECODERS[stream].decode(data)
+        except msgspec.DecodeError:  # what others publish ends nobody's watching
+            return None
         expected = self._next.get(key, record.sequence)
         if record.sequence < expected:
             return None
