@@ -61,6 +61,9 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of each trial")
     run.add_argument("--seed", type=int, metavar="N", help="all random streams are derived from it")
     run.add_argument("--json", metavar="FILE", help="write the results there ('-': standard output)")
+    run.add_argument(
+        "--trace", metavar="FILE", help="write a timeline there, for https://ui.perfetto.dev (.gz: compressed)"
+    )
     run.add_argument("--checkpoint", metavar="FILE", help="keep all that the run knows there, to go on from")
     run.add_argument("--resume", action="store_true", help="go on from the checkpoint")
     run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")

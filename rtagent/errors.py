@@ -65,6 +65,10 @@ class ScenarioError(RtagentError, ValueError):
         self.problems = problems
 
 
+class UndecidedError(RtagentError):
+    """What was measured does not say whether a limit is kept."""
+
+
 def did_you_mean(name: str, known: list[str]) -> str:
     """Return the end of a sentence: a hint at the nearest of the known names, or at all of them."""
     near = get_close_matches(name, known, n=1)

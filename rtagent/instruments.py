@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rtagent.experience import Command, Observation, Stimulus, Transition
+from rtagent.learn import Where
 from rtagent.reaction import Reaction
 from rtagent.recorder import EpisodeRecord
 from rtagent.schedule import Component
@@ -55,7 +56,10 @@ class Instrument:
         """A transition was learned."""
 
     def component(self, component: Component, start: int, end: int) -> None:
-        """A component ran."""
+        """A component ran; learning in slices or elsewhere is told by `learned_for` instead."""
+
+    def learned_for(self, start: int, end: int, where: Where) -> None:
+        """A slice of learning ran on the loop, or a whole transition elsewhere."""
 
     def reacted(self, reaction: Reaction) -> None:
         """A stimulus got its first reaction."""
@@ -71,7 +75,7 @@ class Instrument:
 
 
 NOTED = ("observed", "had_learned", "chose", "acted", "learned", "component", "reacted")
-"""The hooks whose calls are kept until the act is over."""
+"""The hooks whose calls are kept until the act is over, as those of `learned_for` are where it is heard singly."""
 HOOKS = tuple(name for name in vars(Instrument) if not name.startswith("_"))
 
 
@@ -86,7 +90,7 @@ class Hooks:
         }
         heard = {name for name, calls in self._calls.items() if calls}
         self.heard = frozenset(heard.union(NOTED) if "noted" in heard else heard)
-        self._heard_singly = not heard.isdisjoint(NOTED)
+        self._heard_singly = not heard.isdisjoint((*NOTED, "learned_for"))
         self.removed: list[str] = []
         self.noted: list[tuple[str, tuple[Any, ...]]] = []
         self.note = self.noted.append
@@ -97,7 +101,8 @@ class Hooks:
         noted = self.noted.copy()
         self.noted.clear()
         if self._calls["noted"]:
-            self.call("noted", noted)
+            known = [call for call in noted if call[0] in NOTED] if self._calls["learned_for"] else noted
+            self.call("noted", known)
         if self._heard_singly:
             for name, args in noted:
                 self.call(name, *args)

@@ -297,6 +297,7 @@ class _Life:
             self._report("stop", sentence)
         if end is not None:
             self._recorder.fault(Fault(ended - self._began, end.source, end.message, True, end.trace()))
+            self._hooks.call("fault", end.source, end.message, ended)
         self._recorder.elapsed = self._clock.now() - self._began
         result = Result(
             self._plan.seed,

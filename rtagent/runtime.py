@@ -119,6 +119,7 @@ class Runtime:
             self._learned,
             learning_failed,
             costs=bool(schedule.learn_delay) or LEARN in self._costs,
+            learned_for=self._learned_for if "learned_for" in hooks.heard else None,
         )
         self.work = make_work(
             Backlog(agent, schedule.learn, desk),
@@ -370,6 +371,9 @@ class Runtime:
         end = self._done(LEARN) if self._in_one_piece else self._now()
         if "learned" in self._heard:
             self._hooks.note(("learned", (transition, delta, end)))
+
+    def _learned_for(self, start: int, end: int, where: Where) -> None:
+        self._hooks.note(("learned_for", (start, end, where)))
 
     def _done(self, component: Component) -> int:
         """Note that a component has ended; it began where the last one did, or the cycle."""

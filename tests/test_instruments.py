@@ -175,7 +175,7 @@ def test_a_run_calls_its_hooks_in_the_order_of_what_happens() -> None:
     assert called.count("component") == sum(
         called.count(name) for name in ("observed", "chose", "acted", "learned")
     )
-    assert set(called) == set(HOOKS) - {"fault"}
+    assert set(called) == set(HOOKS) - {"fault", "learned_for"}
 
 
 def test_an_instrument_that_raises_in_every_hook_changes_nothing_in_a_run(caplog: pytest.LogCaptureFixture) -> None:

@@ -11,7 +11,7 @@ from rtagent.agent import Agent
 from rtagent.checkpoint.plain import restored_transition, save_transition
 from rtagent.clock import Clock
 from rtagent.experience import Transition
-from rtagent.learn import Full, Learn
+from rtagent.learn import Full, Learn, Where
 from rtagent.recorder import Recorder
 from rtagent.saving import Saved
 
@@ -23,7 +23,8 @@ class Desk:
     """What learning needs of the run: its clock and recorder, what a transition costs (ns), and whom to tell.
 
     `observed_at` says when the newest observation was made: what was complete with it is learned in place.
-    Where nothing `costs` anything, `cost` is always 0.
+    Where nothing `costs` anything, `cost` is always 0. `learned_for` is told of slices, and of
+    learning elsewhere: from when, to when, and where.
     """
 
     clock: Clock
@@ -33,6 +34,7 @@ class Desk:
     learned: Callable[[Transition, float], None]
     failed: Callable[[BaseException], None]
     costs: bool = True
+    learned_for: Callable[[int, int, Where], None] | None = None
 
 
 class Update:
@@ -40,7 +42,7 @@ class Update:
 
     def __init__(self, learner: Any, transition: Transition, cost: int, sliced: bool) -> None:
         self.transition, self.cost, self.delta = transition, cost, 0.0
-        self.spent = self.pieces = 0
+        self.began = self.spent = self.pieces = 0
         self.suspended = False
         self.apart = False
         """Whether the piece that follows leaves all action values alone."""

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from rtagent.backlog.backlog import UNDER_PRESSURE, Backlog, Update
+from rtagent.learn import Where
 from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.units import second
@@ -152,6 +153,8 @@ class Elsewhere:
         """Note, on the loop, that an update is over."""
         self._over += 1
         self.backlog.desk.recorder.learning_time += update.spent
+        if self.backlog.desk.learned_for is not None:
+            self.backlog.desk.learned_for(update.began, update.began + update.spent, Where.THREAD)
         if error is None:
             self.backlog.end(update, UNDER_PRESSURE if self._pressed else "")
         else:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rtagent.backlog.backlog import DEFERRED, IN_PLACE, UNDER_PRESSURE, Backlog
 from rtagent.clock import ready_counter
-from rtagent.learn import When
+from rtagent.learn import When, Where
 from rtagent.saving import Saved
 from rtagent.senses import Senses
 from rtagent.urgency import Urgency
@@ -162,6 +162,7 @@ class InLoop(Inline):
         self._senses, self._urgency = senses, urgency
         self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
         self._recorder, self._ready = backlog.desk.recorder, ready_counter()
+        self._learned_for = backlog.desk.learned_for
         self._never: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def learn(self) -> None:
@@ -183,7 +184,10 @@ class InLoop(Inline):
         began = self._clock.now()
         await super()._learn_one(how)
         if self._slice:
-            self._recorder.learning_time += self._clock.now() - began
+            ended = self._clock.now()
+            self._recorder.learning_time += ended - began
+            if self._learned_for is not None:
+                self._learned_for(began, ended, Where.LOOP)
 
     async def _learn_slice(self) -> None:
         """Learn for the length of a slice, by what the last piece took; an algorithm says where its pieces end."""
@@ -200,6 +204,8 @@ class InLoop(Inline):
                 break
         self._recorder.slices.record(spent)
         self._recorder.learning_time += spent
+        if self._learned_for is not None:
+            self._learned_for(began, began + spent, Where.LOOP)
         if over:
             self.backlog.end(update)
 

@@ -90,7 +90,7 @@ class LearnerThread:
         return self.update
 
     def _learn(self, update: Update) -> BaseException | None:
-        began = self._backlog.desk.clock.now()
+        began = update.began = self._backlog.desk.clock.now()
         occupy(update.cost)
         try:
             while not self._closing and not self._step(update):
@@ -145,6 +145,7 @@ class SecondProcessor:
 
     def _learn(self, update: Update, until: int) -> None:
         self.update, self._until = update, until
+        update.began = until - update.cost
         self.taken += 1
         left = until - self._backlog.desk.clock.now()
         self._timer = self._loop.call_later(left / 1e9, self._finish, update)

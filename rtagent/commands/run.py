@@ -9,6 +9,7 @@ from collections.abc import Coroutine, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from rtagent import __version__
 from rtagent.checkpoint.keeper import Keeper
 from rtagent.commands.checkpoints import keeper_of, told
 from rtagent.commands.overrides import overrides
@@ -20,6 +21,8 @@ from rtagent.realtime import Manners, manners
 from rtagent.result import Result, RunError
 from rtagent.runtime import Habits
 from rtagent.scenario import Assembly, Scenario, assemble, load
+from rtagent.timeline import Timeline
+from rtagent.timeline import write as write_trace
 
 if TYPE_CHECKING:
     from rtagent.telemetry.link import Link
@@ -28,7 +31,8 @@ if TYPE_CHECKING:
 def run_command(arguments: argparse.Namespace) -> int:
     """Run a scenario; return 0 when it was done, 1 after a fault, 2 where it cannot be run."""
     try:
-        _check_output(arguments.json)
+        _check_output("--json", arguments.json)
+        _check_output("--trace", arguments.trace)
         _check_recording(arguments.record)
         scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
         assembly = assemble(scenario)
@@ -47,14 +51,15 @@ def _run(
     if keeper is not None and keeper.resumed is not None and not arguments.quiet:
         out.write(f"{told(keeper, keeper.resumed)}\n")
     progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
+    timeline = Timeline() if arguments.trace else None
     refused = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
     telemetry = _open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        instruments: list[object] = [each for each in (progress, telemetry and telemetry.collector) if each]
-        run = assembly.run(instruments, habits, latch, keeper)
+        heard = (progress, timeline, telemetry and telemetry.collector)
+        run = assembly.run([each for each in heard if each is not None], habits, latch, keeper)
         result = granted.run(
             _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
         )
@@ -74,7 +79,24 @@ def _run(
     if failure is not None:
         _print_failure(failure)
     _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
-    return 0 if failure is None and not result.not_safe and result.learned_all else 1
+    traced = timeline is None or _write_trace(timeline, scenario, result, arguments.trace)
+    return 0 if failure is None and not result.not_safe and result.learned_all and traced else 1
+
+
+def _write_trace(timeline: Timeline, scenario: Scenario, result: Result, path: str) -> bool:
+    """Write the timeline, tell what it lacks, and say whether it could be written."""
+    about = {"scenario": scenario.name, "clock": result.clock, "seed": result.seed, "rtagent": __version__}
+    try:
+        write_trace(timeline, path, about)
+    except OSError as error:
+        sys.stderr.write(f"--trace {path}: {error.strerror or error}: nothing to rely on was written there.\n")
+        return False
+    if timeline.dropped:
+        sys.stderr.write(
+            f"note: {path} lacks the oldest {timeline.dropped:,} things that happened: "
+            "it holds what came last; trace a shorter run to have all.\n"
+        )
+    return True
 
 
 def _end_in_words(result: Result | None, failure: RunError | None) -> str:
@@ -111,13 +133,13 @@ def _tell_refused(sentences: Sequence[str]) -> int:
     return len(sentences)
 
 
-def _check_output(path: str | None) -> None:
+def _check_output(option: str, path: str | None) -> None:
     """Refuse, before anything runs, a place that results cannot be written to."""
-    if path in (None, "-"):
+    if path is None or (path == "-" and option == "--json"):
         return
-    target = Path(str(path))
-    if target.is_dir() or not target.parent.is_dir():
-        raise ScenarioError([f"--json {path}: give a file in a folder that exists."])
+    target = Path(path)
+    if not path or target.is_dir() or not target.parent.is_dir():
+        raise ScenarioError([f"{option} {path}: give a file in a folder that exists."])
 
 
 def _check_recording(path: str | None) -> None:
