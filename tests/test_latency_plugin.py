@@ -25,6 +25,8 @@ from rtagent.latencies.rounds import Round, Rounds, interleaved
 from rtagent.pytest_plugin import MARKER, OPTION, STRICT
 from rtagent.schedule import PRESETS
 
+pytestmark = pytest.mark.slow
+
 pytest_plugins = "pytester"
 
 STOPPING = str(SCENARIOS / "stopping.toml")
@@ -122,7 +124,6 @@ def test_every_preset_keeps_its_promise(preset: str, rtagent_latency: Latency) -
     measured.assert_at_most(LEARNING[preset] + COSTS, least=4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_counts_of_every_preset_are_the_same_in_every_run(preset: str, rtagent_latency: Latency) -> None:
     scenario = rtagent_latency.scenario(
@@ -429,7 +430,6 @@ def test_what_was_measured_is_in_the_summary(tests: pytest.Pytester) -> None:
 # Under the real clock
 
 
-@pytest.mark.slow
 def test_the_tests_of_the_page_pass(tests: pytest.Pytester) -> None:
     (page,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "latency.md").read_text(), re.DOTALL)
     tests.makepyfile(page.replace("scenarios/stopping.toml", STOPPING))
@@ -439,7 +439,6 @@ def test_the_tests_of_the_page_pass(tests: pytest.Pytester) -> None:
     assert outcomes["passed"] >= 2, "on a machine that is very busy, what is measured in real time is undecided"
 
 
-@pytest.mark.slow
 def test_a_seeded_slowdown_is_caught_in_real_time_and_none_is_not() -> None:
     latency = Latency(Rules(rounds=10, stolen=1.0, least=3))
     before, same = (latency.of(reacting(200 * us), "real", name) for name in ("main", "same"))
@@ -449,7 +448,6 @@ def test_a_seeded_slowdown_is_caught_in_real_time_and_none_is_not() -> None:
     latency.compare(before, same).assert_at_most(1.5, "choose", "deciding")
 
 
-@pytest.mark.slow
 def test_reactions_are_compared_with_bare_wake_ups() -> None:
     found = to_floor(Subject.of(reacting(1 * ms), "real"), Rules(rounds=5, stolen=1.0))
     assert found["choose"].ratio > 1
@@ -458,7 +456,6 @@ def test_reactions_are_compared_with_bare_wake_ups() -> None:
         found.assert_at_most(0.5, "choose")
 
 
-@pytest.mark.slow
 def test_system_calls_of_real_cycles_are_counted_by_name() -> None:
     keys = ("schedule.learn_delay=0s", "schedule.period=20ms", "run.seed=1")
     counts = Latency().system_calls(STOPPING, *keys, episodes=1)

@@ -50,6 +50,8 @@ from rtagent_drivers.arm import arm
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 from rtagent_drivers.stopping import stopping_joint
 
+pytestmark = pytest.mark.slow
+
 COSTS = {ACT: Cost(10 * us), OBSERVE: Cost(5 * us), CHOOSE: Cost(5 * us)}
 ALL_COSTS = 20 * us
 SLICE = PRESETS["interruptible"].learn.slice
@@ -107,7 +109,6 @@ def test_in_one_piece_learning_delays_the_reaction_as_in_the_thesis(preset: str,
     assert abs(median(reactions) - expected) <= 50 * ms
 
 
-@pytest.mark.slow
 def test_interruptible_reacts_within_a_slice_and_what_the_components_cost() -> None:
     reactions = run_thesis("interruptible", 8).reaction_times
     assert len(reactions) == 8
@@ -136,7 +137,6 @@ def test_deferred_is_not_late_when_urgency_was_announced() -> None:
 
 @pytest.mark.parametrize("rate", [50.0, 400.0])
 @pytest.mark.parametrize("preset", ["deferred", "interruptible", "background"])
-@pytest.mark.slow
 def test_the_presets_react_as_quickly_to_samples_that_come_by_themselves(preset: str, rate: float) -> None:
     joint = stopping_joint(sampling=Sampling(rate=rate, delay=ms))
     result = run_thesis(preset, 6, joint=joint, learn=replace(PRESETS[preset].learn, queue=100_000))
@@ -188,7 +188,6 @@ def predict_arm(
     return clock.run(main(), clock_name), journal, make()
 
 
-@pytest.mark.slow
 def test_where_transitions_do_not_depend_on_choices_all_presets_end_with_the_same_weights() -> None:
     saved = {}
     for preset in PRESETS:

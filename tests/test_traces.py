@@ -28,6 +28,8 @@ from rtagent.learning.traces import DenseTraces, Traces, make_traces
 from rtagent.policy import EpsilonGreedy
 from rtagent.saving import Saved
 
+pytestmark = pytest.mark.slow
+
 SIZE, ACTIVE = 1200, 24
 Make = Callable[..., Any]
 
@@ -150,7 +152,6 @@ def disagreement(make: Make, length: int, *, real: bool = False, seed: int = 0, 
     return worst / largest
 
 
-@pytest.mark.slow
 def test_both_forms_predict_the_same_over_100_000_steps() -> None:
     assert disagreement(true_online_td, 100_000) < 1e-9
 
@@ -188,7 +189,6 @@ operations = st.lists(
 
 @given(operations)
 @settings(max_examples=200)
-@pytest.mark.slow
 def test_any_sequence_of_steps_leaves_the_same_weights_and_the_same_trace(sequence: list[Any]) -> None:
     lazy, dense = LazyTraces(3, 6, 0.5, linear), DenseTraces(3, 6, 0.5)
     for name, row, active, target, decay in sequence:
@@ -267,7 +267,6 @@ def test_the_compiled_form_is_taken_where_it_is_worth_it(rows: int, size: int, a
         assert isinstance(make_traces(rows, size, 0.0, active), DenseTraces)
 
 
-@pytest.mark.slow
 def test_a_tabular_learner_never_imports_the_compiler() -> None:
     program = """
 import sys

@@ -23,6 +23,8 @@ from rtagent_drivers.arduino.messages import Scan
 from rtagent_drivers.arduino.sampling import Sampler
 from rtagent_drivers.arduino.settings import Servo
 
+pytestmark = pytest.mark.slow
+
 HOST = """
 import asyncio, sys
 from boards import FINGERS, HAND, SERVOS

@@ -19,6 +19,8 @@ from rtagent_drivers.dynamixel.packets import Instruction, Request, Span, Write
 from rtagent_drivers.dynamixel.sdk import sdk_bus
 from rtagent_drivers.serial_line import Line, Receiver
 
+pytestmark = pytest.mark.slow
+
 SPANS = {1: (36, 8), 2: (126, 21)}
 LED = {1: 25, 2: 65}
 

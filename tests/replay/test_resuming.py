@@ -23,6 +23,8 @@ from rtagent.tasks import Stopping
 from rtagent_drivers.fake import FakeDevice
 from rtagent_drivers.stopping import StoppingWorld, stopping_joint
 
+pytestmark = pytest.mark.slow
+
 PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
 SAMPLED = 'devices.joint.sampling={rate="100Hz",delay="3ms",jitter="5ms"}'
 FAULTS = 'devices.joint.faults={drop=0.1,duplicate=0.1,late=0.1,lateness="30ms"}'
@@ -99,7 +101,6 @@ def test_the_rest_of_a_run_is_the_same_to_the_byte_wherever_it_was_kept(
     check_resumed(*run, tmp_path_factory.mktemp("kept"))
 
 
-@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(run=runs())
 def test_so_it_is_with_many_more_runs(
