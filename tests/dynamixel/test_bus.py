@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
@@ -123,6 +124,24 @@ async def test_the_newest_command_takes_the_place_of_one_that_waits(protocol: in
             await bus.transact(*asked(protocol, 1))
         written = [write for request in servos.heard for write in servos.codec.writes(request)]
         assert [(write.address, write.data) for write in written] == [(65, b"\1"), (64, b"\0")]
+
+
+async def test_a_command_that_waited_while_the_process_stood_still_is_not_sent(protocol: int) -> None:
+    with ScriptedServos(protocol, MODELS[protocol]) as servos:
+        async with bus_of(servos) as bus:
+            servos.tamper = lambda servo, answer: b""
+            reading = asyncio.ensure_future(bus.transact(*asked(protocol, 1)))
+            await asyncio.sleep(0)
+            sending = asyncio.ensure_future(bus.send("goal", servos.codec.sync_write(64, {1: b"\1"})))
+            await asyncio.sleep(0)
+            time.sleep(0.1)  # noqa: ASYNC251  # as a process does that is stopped and goes on
+            with pytest.raises(DeviceError, match="a command waited for"):
+                await sending
+            await reading
+            await bus.send("goal", servos.codec.sync_write(64, {1: b"\2"}))
+            await bus.transact(*asked(protocol, 1))
+        written = [write for request in servos.heard for write in servos.codec.writes(request)]
+        assert [write.data for write in written] == [b"\2"]
 
 
 async def test_a_command_and_the_next_read_are_one_call_to_the_system(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rtagent.clock import current
 from rtagent.errors import DeviceError, DisconnectedError
-from rtagent.units import ms, us
+from rtagent.units import describe, ms, us
 from rtagent_drivers.dynamixel.exchange import Exchange, Question, Statuses, question
 from rtagent_drivers.dynamixel.packets import Codec, Request, Status
 from rtagent_drivers.dynamixel.polling import TICK, Polling, Roster, Round
@@ -27,12 +27,16 @@ PATIENCE = 10 * ms
 HURRY = 7 * ms
 """So much less patience there is while a stop is tried again and again."""
 
+STANDSTILL = 20 * ms
+"""Longer than what is on the line may take, and by so much, no command waits but where the loop stands still."""
+
 DEFAULT_RETURN_DELAY = 500 * us
 
 
 class _Write(NamedTuple):
     data: bytes
     sent: asyncio.Future[bool]
+    asked: int
 
 
 class Bus:
@@ -102,10 +106,10 @@ class Bus:
         """Send requests that nobody answers as soon as the line is free; return when they were handed over.
 
         They take the place of those of the same `key` that still wait; for these False is returned. Raises
-        `DeviceError` where an emergency overtook it, and `DisconnectedError`.
+        `DeviceError` where an emergency overtook it, or it waited for too long, and `DisconnectedError`.
         """
         self._check_open()
-        waiting = _Write(b"".join(map(self.codec.request, requests)), self._loop.create_future())
+        waiting = _Write(b"".join(map(self.codec.request, requests)), self._loop.create_future(), self._now())
         before = self._writes.pop(key, None)
         if before is not None and not before.sent.done():
             before.sent.set_result(False)
@@ -190,6 +194,8 @@ class Bus:
         if self._exchange is not None or self._line is None:
             return
         now = self._now()
+        if self._writes:
+            self._drop_old_writes(now)
         exchange = self._next(now)
         if exchange is None and not self._writes:
             self._arm()
@@ -209,6 +215,15 @@ class Bus:
             self._go_on()
         else:
             self._arm()
+
+    def _drop_old_writes(self, now: int) -> None:
+        """Drop commands that waited while this process stood still: what they meant was another moment."""
+        oldest = now - 2 * self.patience - STANDSTILL
+        for key in [key for key, write in self._writes.items() if write.asked < oldest]:
+            waited = self._writes.pop(key)
+            if not waited.sent.done():
+                late = describe(now - waited.asked)
+                waited.sent.set_exception(DeviceError(f"a command waited for {late}, and was not sent any more."))
 
     def _next(self, now: int) -> Exchange | None:
         if self._urgent:
