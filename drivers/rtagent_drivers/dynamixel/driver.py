@@ -34,13 +34,16 @@ START_SPEED = 0.5
 """rad/s, at most, on the way to the start pose."""
 
 LATELY = 100 * ms
-"""A joint that was read longer ago (and three rounds ago) may be elsewhere by now."""
+"""A joint that was read longer ago (and some rounds ago) may be elsewhere by now."""
 
 FIRST_READINGS = 1 * second
 """So long every joint has to be read for the first time."""
 
 SAY_AGAIN = 200 * ms
 """So often the way to the start pose is said again."""
+
+ROUNDS = 3
+"""Who hears nothing for so many rounds stood still."""
 
 TRIES = 4
 """So often torque is switched on, and read back."""
@@ -108,7 +111,7 @@ class Dynamixel:
         self._by_actuator = {servo.axis.actuator: servo for servo in self._servos}
         self._port, self._stop, self._silence, self._home_within = port, stop, silence, home_within
         self._return_delay = return_delay
-        self._lately = max(LATELY, round(3 * second / rate))
+        self._lately = max(LATELY, round(ROUNDS * second / rate))
         able = any("bus_watchdog" in servo.model.registers for servo in self._servos)
         self.tolerates = bus_watchdog if able else 0
         """How long (ns) the servos tolerate to hear nothing (0: for ever)."""
@@ -451,15 +454,19 @@ class Dynamixel:
         farthest = max(abs(_position(servo) - goal) / speeds[servo] for servo, goal in goals.items())
         ends = self._now() + (within or round((2 * farthest + 2) * second))
         orders = {servo.id: servo.go(goal, speeds[servo]) for servo, goal in goals.items()}
-        said = 0
+        said, stood_still = 0, False
         while away := [servo for servo, goal in goals.items() if not _arrived(servo, goal)]:
             if self._now() > ends:
                 names = ", ".join(servo.axis.name for servo in away)
                 raise DeviceError(f"{names} did not get to the start pose: see what is in its way, and its load.")
-            if self._now() - said > SAY_AGAIN:  # nobody confirms it, and a packet can be lost
+            if self._now() - said > SAY_AGAIN and not stood_still:  # nobody confirms it, and a packet can be lost
                 said = self._now()
                 await self._order("pose", orders)
+            before = self._now()
             await self._next_round()
+            stood_still = (
+                self._now() - before > ROUNDS * second / self.spec.rate
+            )  # it may have been stopped meanwhile
             self._check()
 
     def _roster(self) -> Roster:
