@@ -81,10 +81,9 @@ def read(path: Path) -> Checkpoint:
             raise
         raise CheckpointError(f"{path} is damaged: {_said(error)}. Take an older one.") from None
     except (
-        NotImplementedError,
         RuntimeError,
         MemoryError,
-    ) as error:  # what zipfile raises for flags that are not ours
+    ) as error:  # NotImplementedError is one: zipfile's, for flags that are not ours
         raise CheckpointError(f"{path} is damaged: {_said(error)}. Take an older one.") from None
 
 

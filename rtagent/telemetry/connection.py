@@ -64,6 +64,7 @@ def zenoh_module() -> Any:
 def open_client(access: Access) -> Session:
     """Return a session; a local router that is missing is started. Raises `TelemetryError`."""
     zenoh = zenoh_module()
+    _check(access.endpoint)
     if not _listens(access.endpoint):
         if not access.can_be_started:
             raise TelemetryError(f"nothing listens at {access.endpoint}: start a run there, or give another one.")
@@ -128,6 +129,11 @@ def _password(path: str) -> str:
             return file.readline().rstrip("\r\n")
     except OSError as error:
         raise TelemetryError(f"the password is not read: {error}. Give password_file.") from None
+
+
+def _check(endpoint: str) -> None:
+    if not re.fullmatch(r"(tcp|tls|quic)/[^/]+:\d+([?#].*)?", endpoint):
+        raise TelemetryError(f"{endpoint!r} is no endpoint: write one as tcp/127.0.0.1:7447.")
 
 
 def _listens(endpoint: str) -> bool:
