@@ -1,0 +1,147 @@
+"""What the thesis says of Experiment 2, beside what was found, with verdicts that follow from intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
+from rtagent.experiments.egg.finding import Group, Times, from_control, rate, times_as_many, trailing
+from rtagent.experiments.experiment import Claim, Verdict
+from rtagent.experiments.statistics import Interval
+
+THEIRS_TIMES = 4.0
+NEAR = 0.5
+"""Nearer to control than to SARSA is near."""
+
+ABOUT = (0.75, 1.25)
+"""Of the learning delay: about as long."""
+
+DELAY = 0.05
+"""The learning delay of the scenario, in s."""
+
+FOUR = 4
+"""So many people took part in the thesis's experiment."""
+
+DRAWN = 2000
+MOSTLY = 0.95
+
+
+def claims(group: Group) -> list[Claim]:
+    """Return the thesis's claims beside what the people of the main variant did."""
+    return [more_failures(group), near_control(group), trails(group), *overlaps(group)]
+
+
+def more_failures(group: Group) -> Claim:
+    """Say whether SARSA has more than four times the failed stops of reactive SARSA."""
+    found = times_as_many(group)
+    rates = ", ".join(f"{name} {rate(group, name)}" for name in (CONTROL, SARSA, REACTIVE_SARSA))
+    four = of_four(group)
+    return Claim(
+        "SARSA has more than four times as many failed stops as reactive SARSA (figure 3.5).",
+        "more than 4 times, of 80 stops each by four people",
+        f"{found} times (failed: {rates}); of groups of four people {four:.0%} have more than 4 times",
+        above(found, THEIRS_TIMES, otherwise=1.0),
+        "Both follow from where people aim; the thesis tells no speed, distance or margin: see the variants.",
+    )
+
+
+def near_control(group: Group) -> Claim:
+    """Say whether reactive SARSA is nearer to control than half of SARSA's distance."""
+    found = from_control(group)
+    return Claim(
+        "Reactive SARSA's failed stops are near those of the hard-wired control (figure 3.5).",
+        "no number is stated",
+        f"{found} of the way from control to SARSA",
+        below(found, NEAR),
+        "Control acts as the reactive order does, delay included; what remains is that people practise with it.",
+    )
+
+
+def trails(group: Group) -> Claim:
+    """Say whether SARSA acts about a learning delay later than reactive SARSA."""
+    found = trailing(group, DELAY)
+    medians = {name: 1e3 * float(np.median(group.gaps(name))) for name in (SARSA, REACTIVE_SARSA)}
+    return Claim(
+        "SARSA's stop trails the press by about the length of the learning update and delay (figure 3.6).",
+        "about 50 ms, by its words",
+        f"{found} delays later than reactive SARSA; after the press: SARSA {medians[SARSA]:.0f} ms, "
+        f"reactive SARSA {medians[REACTIVE_SARSA]:.0f} ms (medians)",
+        within(found, *ABOUT),
+        "A press falls anywhere in a learning step, which adds half a step to both before it is seen.",
+    )
+
+
+def overlaps(group: Group) -> list[Claim]:
+    """Say whether the boxes of presses and actions overlap with reactive SARSA, and are apart with SARSA."""
+    reactive, standard = (parted(group, name) for name in (REACTIVE_SARSA, SARSA))
+    return [
+        Claim(
+            "The boxes of presses and of reactive SARSA's actions overlap (figure 3.6).",
+            "a tight overlap",
+            f"they overlap in {1 - reactive:.0%} of groups of four people",
+            mostly(1 - reactive),
+        ),
+        Claim(
+            "Between the boxes of presses and of SARSA's actions there is a gap (figure 3.6).",
+            "a visible gap",
+            f"there is one in {standard:.0%} of groups of four people",
+            mostly(standard),
+            "How wide the boxes are depends on how differently people time their presses, and on what they learn.",
+        ),
+    ]
+
+
+def of_four(group: Group) -> float:
+    """Return which part of groups of four people have more than four times as many failed stops with SARSA."""
+    standard, reactive = (group.rates(name) for name in (SARSA, REACTIVE_SARSA))
+    groups = _fours(len(group.people))
+    more = standard[groups].sum(1) > THEIRS_TIMES * reactive[groups].sum(1)
+    return float(np.mean(more))
+
+
+def parted(group: Group, condition: str) -> float:
+    """Return in which part of groups of four people the box of actions begins after that of presses has ended."""
+    pressed, acted = (_by_person(group, condition, event) for event in ("pressed", "acted"))
+    ends = [np.quantile(np.concatenate([pressed[each] for each in four]), 0.75) for four in _fours(len(pressed))]
+    begins = [np.quantile(np.concatenate([acted[each] for each in four]), 0.25) for four in _fours(len(acted))]
+    return float(np.mean(np.array(begins) > np.array(ends)))
+
+
+def _by_person(group: Group, condition: str, event: str) -> list[Times]:
+    return [group.times(condition, event, [place]) for place in range(len(group.people))]
+
+
+def _fours(people: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+    """Return groups of four people by their places, the same whenever asked for."""
+    rng = np.random.default_rng(0)
+    return np.array([rng.permutation(people)[:FOUR] for _ in range(DRAWN)])
+
+
+def above(found: Interval, least: float, *, otherwise: float) -> Verdict:
+    """Say whether all of an interval is above `least`; where it is below, it still differs above `otherwise`."""
+    if found.low > least:
+        return Verdict.REPRODUCED
+    if found.high < otherwise:
+        return Verdict.NOT_REPRODUCED
+    return Verdict.DIFFERS if found.high < least and found.low > otherwise else Verdict.UNDECIDED
+
+
+def below(found: Interval, most: float) -> Verdict:
+    """Say whether all of an interval is below `most`, or all above."""
+    if found.high < most:
+        return Verdict.REPRODUCED
+    return Verdict.NOT_REPRODUCED if found.low > most else Verdict.UNDECIDED
+
+
+def within(found: Interval, low: float, high: float) -> Verdict:
+    """Say whether all of an interval is from `low` to `high`, or all outside."""
+    if low <= found.low and found.high <= high:
+        return Verdict.REPRODUCED
+    return Verdict.NOT_REPRODUCED if found.high < low or found.low > high else Verdict.UNDECIDED
+
+
+def mostly(share: float) -> Verdict:
+    """Say whether something is so in nearly all groups, or in nearly none."""
+    if share >= MOSTLY:
+        return Verdict.REPRODUCED
+    return Verdict.NOT_REPRODUCED if share <= 1 - MOSTLY else Verdict.UNDECIDED
