@@ -90,7 +90,7 @@ def test_an_egg_breaks_when_the_joint_is_there_and_not_before() -> None:
 
 
 @given(PRESSING, st.lists(st.integers(0, 4500), min_size=2, max_size=8))
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_a_way_is_that_of_its_speeds_whenever_one_asks(
     told: Sequence[tuple[int, float | None]], times: Sequence[int]
 ) -> None:
@@ -111,7 +111,7 @@ def test_a_way_is_that_of_its_speeds_whenever_one_asks(
 
 
 @given(PRESSING, st.integers(0, 6000))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_nothing_turns_true_before_the_next_change(told: Sequence[tuple[int, float | None]], time: int) -> None:
     joint = world(Participant(spread=30 * ms))
     for when, speed in sorted(told, key=lambda each: each[0]):
@@ -225,7 +225,9 @@ def test_a_lag_is_learned_by_a_fixed_share_until_the_joint_rests_where_it_should
         lags.append(person.lag)
         person.saw(80 * ms - person.lag - margin, second)  # what is pressed takes 80 ms to its effect
     assert lags[1] == pytest.approx(20 * ms)
-    assert [b - 80 * ms for _, b in pairwise(lags)] == pytest.approx([0.75 * (a - 80 * ms) for a, _ in pairwise(lags)])
+    assert [b - 80 * ms for _, b in pairwise(lags)] == pytest.approx(
+        [0.75 * (a - 80 * ms) for a, _ in pairwise(lags)]
+    )
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
-from rtagent.experiments.egg.finding import Group, Times, from_control, rate, times_as_many, trailing
+from rtagent.experiments.egg.people import Group, Times, from_control, rate, times_as_many, trailing
 from rtagent.experiments.experiment import Claim, Verdict
 from rtagent.experiments.statistics import Interval
 
@@ -22,7 +22,7 @@ DELAY = 0.05
 FOUR = 4
 """So many people took part in the thesis's experiment."""
 
-DRAWN = 2000
+DRAWN = 500
 MOSTLY = 0.95
 
 

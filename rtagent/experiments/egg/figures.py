@@ -9,7 +9,7 @@ import numpy as np
 
 from rtagent.experiments import style
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
-from rtagent.experiments.egg.finding import Group, Times, rate
+from rtagent.experiments.egg.people import Group, Times, rate
 from rtagent.experiments.egg.variants import MAIN, PRACTISED, SPEEDS, alone, at_speed
 from rtagent.experiments.experiment import Figure
 from rtagent.schedule import PRESETS

@@ -9,7 +9,7 @@ import numpy as np
 from rtagent.experiments.egg.claims import claims
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.figures import figures
-from rtagent.experiments.egg.finding import Group, grouped, rate, times_as_many
+from rtagent.experiments.egg.people import Group, grouped, rate, times_as_many
 from rtagent.experiments.egg.variants import MAIN, PRACTISED, alone
 from rtagent.experiments.experiment import Cell, Findings, Options, Row, Table
 from rtagent.experiments.statistics import Interval, interval

@@ -1,4 +1,4 @@
-"""What is found in the attempts of many people: claims, figures 3.5 and 3.6 of the thesis, and tables."""
+"""The people of the trials with their attempts, and what is reckoned from them, with intervals over people."""
 
 from __future__ import annotations
 
