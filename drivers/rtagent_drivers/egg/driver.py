@@ -19,7 +19,7 @@ from rtagent_drivers.fake import FakeDevice, Faults, Sampling
 JOINT = "hammer"
 POSITION, VELOCITY = f"{JOINT}_position", f"{JOINT}_velocity"
 PRESSED, BROKEN = "pressed", "broken"
-SAVED = ("_press", "_error", "_expected")
+SAVED = ("_press", "_error", "_expected", "_seen")
 ASSUMED = Participant()
 
 
@@ -57,6 +57,7 @@ class EggWorld:
         )
         self._way: Way | None = None
         self._press: int | None = None
+        self._seen = 0
         self._expected: list[float] | None = None
         """In how many ns, and at which speed (rad/s), the person expects the joint to meet the egg."""
 
@@ -67,9 +68,11 @@ class EggWorld:
         self._error = self._person.participant.error(rng)
         self._way = Way(now, self._acceleration, self._travel)
         self._press = self._expected = None
+        self._seen = now - 1
 
     def values(self, time: int) -> Values:
         """Return the sensors at `time` (ns)."""
+        self._seen = max(self._seen, time)
         position, velocity = self._joint.at(time)
         pressed = self._press is not None and time >= self._press
         return {POSITION: position, VELOCITY: velocity, PRESSED: pressed, BROKEN: position >= self._breaking}
@@ -81,7 +84,8 @@ class EggWorld:
         return command
 
     def press(self, at: int) -> None:
-        """Have the button pressed at a time (ns) that is not in the future; the first press counts."""
+        """Have the button pressed at a time (ns), or just after it was looked at last; the first press counts."""
+        at = max(at, self._seen + 1)
         self._press = at if self._press is None else min(at, self._press)
 
     def stimuli(self, after: int, until: int) -> Sequence[Stimulus]:

@@ -10,10 +10,13 @@ from rtagent.experience import Observation, Stimulus
 from rtagent.recorder import EpisodeRecord
 from rtagent.tasks import ArmStopping
 from rtagent.tasks.arm_stopping import Seen
-from rtagent.units import second
+from rtagent.units import ms, second
 
 FULL_SPEED = 0.98
 """So much of the speed that was told is the full one."""
+
+FORESIGHT = 100 * ms
+"""What was seen is carried on for no longer."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class Judge:
     """An instrument that looks where the joint goes, and makes an attempt of each episode."""
 
     def __init__(self, task: ArmStopping, conditions: Sequence[str]) -> None:
-        self._task, self._conditions, self._looks = task, conditions, Looks()
+        self.conditions = conditions
+        self._task, self._looks = task, Looks()
         self.attempts: list[Attempt] = []
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
@@ -72,11 +76,24 @@ class Judge:
         if presses and looks.pressed is None:
             looks.pressed = presses[0]
 
+    @property
+    def moving(self) -> bool:
+        """Whether the joint moved when it was looked at last."""
+        return self._looks.newest is not None and self._looks.newest.speed > 0.0
+
+    def gone(self, now: int) -> float:
+        """Return how far the joint should be `now` (ns), in parts of its way to the egg, from where it was seen."""
+        looks = self._looks
+        if looks.first is None or looks.newest is None:
+            return 0.0
+        since = min(max(now - looks.newest.time, 0), FORESIGHT) / second
+        return 1.0 - (looks.newest.left - looks.newest.speed * since) / looks.first.left
+
     def episode_ended(self, record: EpisodeRecord) -> None:
         """Judge it."""
         looks, responses, speed = self._looks, record.reactions.responses, self._task.speed
         assert looks.newest is not None, "an episode has an observation"
         acted = looks.pressed + responses[0] if responses and looks.pressed is not None else None
         pressed, left = looks.since(looks.pressed, speed), looks.newest.left
-        condition = self._conditions[record.episode]
+        condition = self.conditions[record.episode]
         self.attempts.append(Attempt(condition, pressed, looks.since(acted, speed), left, left <= 0.0))
