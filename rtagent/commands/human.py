@@ -104,7 +104,7 @@ def prepare(path: str, given: Sequence[str], arguments: argparse.Namespace) -> t
     seed = [] if arguments.seed is not None else [f"run.seed={secrets.randbelow(10**9)}"]
     button = _button_of(load(path, given))
     live = [f"devices.{button.path[-1]}.{setting}" for setting in LIVE.get(button.name, ())]
-    scenario = load(path, [*seed, *given, *live])
+    scenario = load(path, [*seed, *live, *given])
     assembly = assemble(scenario)
     pressed = scenario.devices[str(button.path[-1])]
     assembly.devices[str(button.path[-1])] = plugins.build(
@@ -121,9 +121,7 @@ def _button_of(scenario: Scenario) -> Part:
         raise ScenarioError(["--human is for the task arm_stopping with an obstacle, as in scenarios/egg.toml."])
     name = str(task.given()["emergency"]).partition(".")[0]
     if name not in scenario.devices:
-        raise ScenarioError(
-            [f"--human: task.emergency names the device {name!r}, which is not there: name a button."]
-        )
+        raise ScenarioError([f"--human: there is no device {name!r}: let task.emergency name a button."])
     return scenario.devices[name]
 
 
@@ -134,6 +132,8 @@ def _check(scenario: Scenario, assembly: Assembly) -> None:
     problems = []
     if scenario.model.run.clock == "virtual":
         problems.append('--human: people know no virtual clock: leave run.clock at "real".')
+    if scenario.model.checkpoint.file:
+        problems.append("--human: a game cannot be gone on with later: leave out --checkpoint.")
     if len(task.state) != 1 or agent.features.size != 2:
         problems.append('--human: the agents know Emergency alone: no task.signals, features.type = "tabular".')
     if not isinstance(assembly.devices[task.button], Pressable):
@@ -152,7 +152,7 @@ def _check_terminal() -> None:
 
 
 def _stem(name: str) -> Path:
-    """Return where the figure is to be, as a path without its ending; raise `ScenarioError` where one is already."""
+    """Return where the figure is to be, a path without its ending; raise `ScenarioError` where one is already."""
     stem = Path(name)
     for path in (stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.svg")):
         if path.exists():

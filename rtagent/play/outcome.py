@@ -56,6 +56,8 @@ def draw(canvas: Canvas, attempts: Sequence[Attempt]) -> None:
     crushed.bar(range(len(there)), counts, color="0.6", edgecolor="black")
     crushed.set_xticks(range(len(there)), [NAMES[name] for name in there], rotation=20)
     crushed.set_ylabel("crushed eggs")
+    crushed.set_ylim(0, max(*counts, 4) + 1)
+    crushed.locator_params(axis="y", integer=True)
     draw_events(events, {name: _events(attempts, name) for name in there})
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rtagent.experiments.egg.attempts import Attempt
 from rtagent.units import degree
 
@@ -31,7 +29,7 @@ def instructions(key: str, practice: int, others: int) -> str:
     return (
         "An arm swings towards an egg (O).\n"
         f"Press {key} to stop it as close to the egg as you can, without touching it.\n"
-        f"You have {practice} attempts to practise, then {others} more, in which the program of the arm changes "
+        f"There are {practice} attempts to practise, then {others} more, in which the program of the arm changes "
         "from one\nto the next without a word: at the end you see what that did. Esc ends the game.\n"
         f"Press {key} to begin.\n"
     )
@@ -48,8 +46,3 @@ def _how(attempt: Attempt) -> str:
     if attempt.broken:
         return f"crushed: {abs(attempt.short) / degree:.1f}° too far"
     return f"stopped {attempt.short / degree:.1f}° before the egg"
-
-
-def failures(attempts: Sequence[Attempt]) -> int:
-    """Return how many eggs were crushed."""
-    return sum(attempt.broken for attempt in attempts)

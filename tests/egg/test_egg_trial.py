@@ -1,4 +1,4 @@
-"""A trial of Experiment 2: when each condition acts, by hand; conditions that take turns; agents that are frozen."""
+"""A trial of Experiment 2: when each condition acts, by hand; conditions taking turns; agents that are frozen."""
 
 from __future__ import annotations
 
