@@ -8,10 +8,11 @@ import os
 import pty
 import re
 import select
+import socket
 import sys
 import termios
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -266,15 +267,18 @@ class Player:
             return False
         return bool(ready)
 
-    def play(self, place: int) -> int:
-        """Begin, press when the arm is drawn at `place`, and return the exit code."""
+    def play(self, place: int, press: Callable[[], object] | None = None) -> int:
+        """Begin, press the key, or as `press` does, when the arm is drawn at `place`; return the exit code."""
         begun = ready = False
         while self.read():
             begins, arm = "to begin" in self.seen and not begun, self._arm()
             ready = ready or arm < place // 2
-            if begins or (ready and arm >= place):
+            if begins or (ready and arm >= place and press is None):
                 os.write(self._end, b"b")
                 begun, ready = True, False
+            elif ready and arm >= place and press is not None:
+                press()
+                ready = False
         _, status = os.waitpid(self._pid, 0)
         os.close(self._end)
         return os.waitstatus_to_exitcode(status)
@@ -302,3 +306,30 @@ def test_a_whole_game_through_a_terminal(scenario: str, further: list[str], plac
     assert all(gap >= 0 for gap in gaps.values())
     assert gaps[SARSA] >= 0.05 > 0, "it learns first"
     assert "reactive SARSA" in player.seen.split("Your figure")[0]
+
+
+@pytest.mark.slow
+def test_the_button_of_the_page_stops_the_arm(tmp_path: Path) -> None:
+    """It begins with a key; what the page sends when its button is clicked is sent here."""
+    from rtagent.telemetry.connection import Access, open_client
+    from rtagent.telemetry.control import command
+    from rtagent.telemetry.keys import place_of
+
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        there = Access(endpoint=f"tcp/127.0.0.1:{found.getsockname()[1]}")
+    results = tmp_path / "played.json"
+    own = ["--human", str(tmp_path / "mine"), "--json", str(results), "--episodes", "3"]
+    settings = ["--set", f"telemetry.endpoint={there.endpoint}", "--set", "task.velocity=40deg/s"]
+    player = Player(str(SCENARIOS / "egg.toml"), *own, *settings)
+
+    def press() -> None:
+        session = open_client(there)
+        keys = [str(each.ok.key_expr) for each in session.liveliness().get("rtagent/**") if each.ok is not None]
+        assert command(session, place_of(keys[0]), "press", "arm") == "done"
+        session.close()
+
+    assert player.play(8, press) == 0, player.seen
+    attempts = json.loads(results.read_text())["attempts"]
+    assert len(attempts) == 3
+    assert any(each["acted"] is not None and not each["broken"] for each in attempts)
