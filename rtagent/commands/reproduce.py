@@ -173,12 +173,13 @@ def _plain(outcome: Outcome) -> dict[str, object]:
 
 
 def _tell_claims(console: Console, outcomes: Sequence[Outcome]) -> None:
-    table = Table("experiment", "claim", "the thesis", "here", "verdict", box=None, pad_edge=False)
+    table = Table("experiment", "verdict", "claim", box=None, pad_edge=False)
+    for column in table.columns[:2]:
+        column.no_wrap = True
     for outcome in outcomes:
         for claim in outcome.findings.claims:
-            color = COLORS[claim.verdict]
-            said = map(escape, (claim.said, claim.theirs, claim.ours))
-            table.add_row(outcome.experiment.name, *said, f"[{color}]{claim.verdict.value}[/{color}]")
+            verdict = f"[{COLORS[claim.verdict]}]{claim.verdict.value}[/]"
+            table.add_row(outcome.experiment.name, verdict, escape(claim.said))
     if table.rows:
         console.print()
         console.print(table)

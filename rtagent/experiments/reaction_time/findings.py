@@ -27,7 +27,7 @@ from rtagent.experiments.statistics import (
 
 STANDARD, REACTIVE, INTERRUPTIBLE = "standard", "reactive", "interruptible"
 HALF, ONE, FLAT = (0.4, 0.6), (0.8, 1.2), 0.02
-"""What "approximately half" of a delay and "a full timestep" may be; and by which part of it what is flat may grow."""
+"""What "about half" of a delay and "a full timestep" may be; and by which part of it what is flat may grow."""
 
 LEAST = 1e-12
 """A deviation of 0 would have no logarithm."""
@@ -152,8 +152,8 @@ def flat(groups: Groups) -> Iterator[Claim]:
     first, last = delays(groups)[0], delays(groups)[-1]
     share = _scaled(_later(groups[INTERRUPTIBLE, last], groups[INTERRUPTIBLE, first]), last - first)
     yield Claim(
-        "To interrupt learning for more pressing computations is a subject of future work (3.5); here: reactions of "
-        "the schedule interruptible do not depend on the delay.",
+        "To interrupt learning for more pressing computations is a subject of future work (3.5). Here: reactions "
+        "of the schedule interruptible do not depend on the delay.",
         "not tried",
         f"from {first:g} to {last:g} ms of delay the median reaction grows by {share} of it",
         within(share, -FLAT, FLAT),
