@@ -31,8 +31,7 @@ class Interval:
 def interval(values: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of values, one a seed, with its bootstrap interval (percentiles of 2,000 samples)."""
     given = np.asarray(values, float)
-    drawn = np.random.default_rng(0).choice(given, (DRAWN, len(given)))
-    return _between(float(statistic(given)), np.array([statistic(sample) for sample in drawn]))
+    return _between(float(statistic(given)), _drawn(given, statistic, np.random.default_rng(0)))
 
 
 def compared(
@@ -44,12 +43,21 @@ def compared(
     """Return how a statistic of one group is to that of another (a difference, a ratio), with its interval."""
     first, second = np.asarray(ours, float), np.asarray(others, float)
     rng = np.random.default_rng(0)
-    pairs = [(rng.choice(first, len(first)), rng.choice(second, len(second))) for _ in range(DRAWN)]
-    drawn = np.array([how(float(statistic(a)), float(statistic(b))) for a, b in pairs])
+    pairs = zip(_drawn(first, statistic, rng), _drawn(second, statistic, rng), strict=True)
+    drawn = np.array([how(float(a), float(b)) for a, b in pairs])
     return _between(how(float(statistic(first)), float(statistic(second))), drawn)
 
 
-def paired(ours: Sequence[float], others: Sequence[float], statistic: Statistic = np.mean) -> Interval:
+def _drawn(given: NDArray[np.float64], statistic: Statistic, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a statistic of samples that are drawn from values, with replacement."""
+    samples = rng.choice(given, (DRAWN, len(given)))
+    if statistic in (np.mean, np.median):
+        found: NDArray[np.float64] = np.asarray(statistic(samples, axis=1))
+        return found
+    return np.array([statistic(sample) for sample in samples])
+
+
+def paired(ours: ArrayLike, others: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of the differences, seed by seed, of two groups that met the same worlds."""
     return interval(np.subtract(ours, others), statistic)
 
