@@ -12,6 +12,8 @@ from rtagent.experiments.experiment import Verdict
 
 DRAWN = 2000
 LEVEL = 0.95
+FEW = 2
+"""Of fewer seeds nothing is known but their own values: the interval has no ends."""
 
 Statistic = Callable[[NDArray[np.float64]], np.float64]
 
@@ -31,7 +33,7 @@ class Interval:
 def interval(values: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of values, one a seed, with its bootstrap interval (percentiles of 2,000 samples)."""
     given = np.asarray(values, float)
-    return _between(float(statistic(given)), _drawn(given, statistic, np.random.default_rng(0)))
+    return _between(float(statistic(given)), _drawn(given, statistic, np.random.default_rng(0)), len(given))
 
 
 def compared(
@@ -45,7 +47,7 @@ def compared(
     rng = np.random.default_rng(0)
     pairs = zip(_drawn(first, statistic, rng), _drawn(second, statistic, rng), strict=True)
     drawn = np.array([how(float(a), float(b)) for a, b in pairs])
-    return _between(how(float(statistic(first)), float(statistic(second))), drawn)
+    return _between(how(float(statistic(first)), float(statistic(second))), drawn, min(len(first), len(second)))
 
 
 def _drawn(given: NDArray[np.float64], statistic: Statistic, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -70,10 +72,14 @@ def pooled(
     given = [(np.asarray(first, float), np.asarray(second, float)) for first, second in pairs]
     rng = np.random.default_rng(0)
     drawn = [np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)]
-    return _between(float(np.mean([how(a, b) for a, b in given])), np.array(drawn))
+    return _between(
+        float(np.mean([how(a, b) for a, b in given])), np.array(drawn), min(min(len(a), len(b)) for a, b in given)
+    )
 
 
-def _between(middle: float, drawn: NDArray[np.float64]) -> Interval:
+def _between(middle: float, drawn: NDArray[np.float64], seeds: int) -> Interval:
+    if seeds < FEW:
+        return Interval(-np.inf, middle, np.inf)
     low, high = np.quantile(drawn, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return Interval(float(low), middle, float(high))
 

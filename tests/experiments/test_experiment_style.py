@@ -109,6 +109,17 @@ def test_an_interval_of_a_mean_is_as_wide_as_theory_says_and_holds_it_nineteen_t
     assert np.mean(widths) == pytest.approx(2 * 1.96 * 2.0 / np.sqrt(40), rel=0.05)
 
 
+def test_of_one_seed_nothing_follows() -> None:
+    alone = interval([0.5])
+    assert (alone.low, alone.middle, alone.high) == (-np.inf, 0.5, np.inf)
+    assert (
+        within(alone, 0.4, 0.6)
+        == above(alone, 0.0)
+        == below(compared([1.0], [2.0], lambda a, b: a - b))
+        == UNDECIDED
+    )
+
+
 def test_pairs_that_share_their_worlds_are_compared_world_by_world() -> None:
     rng = np.random.default_rng(2)
     worlds = rng.normal(0, 10, 30)
