@@ -76,7 +76,7 @@ def write(attempts: Sequence[Attempt], stem: Path) -> str:
         return "There is no figure: it needs matplotlib: pip install 'rtagent[figures]'."
     from rtagent.experiments import style
 
-    with mpl.rc_context(style.SETTINGS):  # type: ignore[arg-type]  # their names are plain texts
+    with mpl.rc_context(style.SETTINGS):
         canvas = Canvas(figsize=SIZE, layout="constrained")
         draw(canvas, attempts)
         written = style.save(canvas, stem)

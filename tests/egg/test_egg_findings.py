@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from rtagent.experiments.egg import EXPERIMENT
-from rtagent.experiments.egg.claims import above, below, claims, mostly, within
+from rtagent.experiments.egg.claims import claims, mostly
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.findings import find
 from rtagent.experiments.egg.people import Group, from_control, grouped, rate, times_as_many, trailing
 from rtagent.experiments.egg.variants import VARIANTS, alone
 from rtagent.experiments.experiment import Claim, Options, Verdict
-from rtagent.experiments.statistics import Interval
 
 GAPS = {CONTROL: 0.025, REACTIVE_SARSA: 0.025, SARSA: 0.075}
 EPISODES = {CONTROL: 10, REACTIVE_SARSA: 20, SARSA: 20}
@@ -100,26 +99,20 @@ def test_other_data_give_other_verdicts() -> None:
 
 @pytest.mark.parametrize(
     ("broken", "verdict"),
-    [(9, Verdict.REPRODUCED), (8, Verdict.UNDECIDED), (6, Verdict.DIFFERS), (1, Verdict.NOT_REPRODUCED)],
+    [(9, Verdict.REPRODUCED), (8, Verdict.DIFFERS), (6, Verdict.DIFFERS), (1, Verdict.NOT_REPRODUCED)],
 )
 def test_four_times_as_many_is_the_line(broken: int, verdict: Verdict) -> None:
     """Of 20, against 2: 4.5, 4, 3 and half as many."""
     assert claims(group({**USUAL, SARSA: broken}))[0].verdict is verdict
 
 
-def test_verdicts_follow_from_intervals() -> None:
-    def spans(low: float, high: float) -> Interval:
-        return Interval(low, (low + high) / 2, high)
+def test_where_people_differ_much_four_times_is_undecided() -> None:
+    """Half of them break 2 of 20, and half 16: 9 against 2 on average, and it might be fewer."""
+    people = [person({**USUAL, SARSA: broken}) for broken in (2, 16)] * (PEOPLE // 2)
+    assert claims(Group(people))[0].verdict is Verdict.UNDECIDED
 
-    assert above(spans(4.1, 9), 4, otherwise=1) is Verdict.REPRODUCED
-    assert above(spans(3.9, 9), 4, otherwise=1) is Verdict.UNDECIDED
-    assert above(spans(0.9, 3), 4, otherwise=1) is Verdict.UNDECIDED
-    assert below(spans(0.1, 0.4), 0.5) is Verdict.REPRODUCED
-    assert below(spans(0.6, 0.9), 0.5) is Verdict.NOT_REPRODUCED
-    assert below(spans(0.4, 0.6), 0.5) is Verdict.UNDECIDED
-    assert within(spans(0.8, 1.2), 0.75, 1.25) is Verdict.REPRODUCED
-    assert within(spans(0.7, 1.2), 0.75, 1.25) is Verdict.UNDECIDED
-    assert within(spans(0.1, 0.7), 0.75, 1.25) is within(spans(1.3, 2), 0.75, 1.25) is Verdict.NOT_REPRODUCED
+
+def test_most_groups_of_four_decide() -> None:
     assert [mostly(share) for share in (0.96, 0.5, 0.04)] == [
         Verdict.REPRODUCED,
         Verdict.UNDECIDED,

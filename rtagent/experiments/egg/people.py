@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
 from rtagent.experiments.experiment import Cell, Row
-from rtagent.experiments.statistics import Interval, interval
+from rtagent.experiments.statistics import Interval, interval, paired
 
 Times = NDArray[np.float64]
 Person = Mapping[str, Any]
@@ -95,4 +95,4 @@ def from_control(group: Group) -> Interval:
 
 def trailing(group: Group, delay: float) -> Interval:
     """Return how much later, in learning delays, SARSA acts after a press than reactive SARSA does."""
-    return interval((group.gaps(SARSA) - group.gaps(REACTIVE_SARSA)) / delay)
+    return paired(group.gaps(SARSA) / delay, group.gaps(REACTIVE_SARSA) / delay)
