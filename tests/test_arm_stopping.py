@@ -97,6 +97,13 @@ def test_an_emergency_that_is_latched_lasts_until_the_episode_ends() -> None:
         assert seen(stopping, 40 * ms, 0.5).state == (0.0,)
 
 
+def test_a_button_that_is_held_from_before_is_no_emergency_until_it_is_pressed_anew() -> None:
+    stopping = task(latched=True)
+    looks = ((10, 5), (20, 5), (30, None), (40, 35))
+    states = [seen(stopping, time * ms, 0.5, onset).state[0] for time, onset in looks]
+    assert states == [0.0, 0.0, 0.0, 1.0]
+
+
 @pytest.mark.parametrize(("velocity", "end", "obstacle", "left"), [(0.5, 0.9, 0.7, 0.4), (-0.5, -0.9, -0.2, 0.5)])
 def test_what_is_left_to_an_obstacle_is_told(velocity: float, end: float, obstacle: float, left: float) -> None:
     stopping = task(velocity=velocity, end=end, obstacle=obstacle)

@@ -16,7 +16,7 @@ from rtagent.units import Angle, AngularVelocity, Duration, degree, second
 
 MOVE, STOP = 0, 1
 EMERGENCY = "emergency"
-EPISODE, COSTS = ("_emergency", "_answered"), ("_since", "_needless", "_told")
+EPISODE, COSTS = ("_emergency", "_answered", "_let_go"), ("_since", "_needless", "_told")
 """What is saved."""
 
 
@@ -35,8 +35,9 @@ class ArmStopping:
     the direction). The episode ends with the joint at rest after a stop in Emergency, or, as a miss, beyond the
     position `end`. Slower than `at_rest` is at rest. Emergency costs 1 for each `reward_unit` from its onset
     until the joint is at rest, by the times of the samples; a stop that was chosen in Normal costs 1, and the
-    joint does stop. With `latched` it is Emergency from the first moment that the flag is true until the end of
-    the episode, as it must be with a button that is let go. A stop has failed where the joint comes to `obstacle`.
+    joint does stop. With `latched` it is Emergency from when the flag turns true until the end of the episode, as
+    it must be with a button that is let go; one that is still held from before does not count. A stop has failed
+    where the joint comes to `obstacle`.
     `signals` are further ones for demons, as for the task `stopping`.
     """
 
@@ -91,13 +92,14 @@ class ArmStopping:
 
     def begin(self) -> None:
         """Begin an episode."""
-        self._emergency = self._answered = False
+        self._emergency = self._answered = self._let_go = False
         self._costs.begin()
 
     def interpret(self, observation: Observation) -> Outcome:
         """Return whether it is an Emergency, and the signals; a joint at rest or at its end ends the episode."""
         joint, flag = (observation.samples[place.device] for place in (self._joint, self._flag))
-        self._emergency = bool(flag.values[self._flag.name]) or (self._latched and self._emergency)
+        self._emergency = self._is_emergency(flag)
+        self._let_go = self._let_go or not flag.values[self._flag.name]
         if self._emergency:
             self._costs.emergency_since(flag.world_time)
         stopped = self._answered and self._rests(joint)
@@ -107,8 +109,7 @@ class ArmStopping:
 
     def urgent(self, samples: Mapping[str, Sample]) -> bool:
         """Say that it is urgent from the onset of Emergency until the joint is at rest."""
-        flag = bool(samples[self._flag.device].values[self._flag.name])
-        emergency = flag or (self._latched and self._emergency)
+        emergency = self._is_emergency(samples[self._flag.device])
         return emergency and not self._rests(samples[self._joint.device])
 
     def commands(self, action: int) -> Mapping[str, Command]:
@@ -149,6 +150,10 @@ class ArmStopping:
         """Take what `save` returned in the middle of an episode."""
         restore_fields(self, EPISODE, saved)
         self._costs.restore(saved["costs"])
+
+    def _is_emergency(self, flag: Sample) -> bool:
+        held = bool(flag.values[self._flag.name])
+        return self._emergency or (held and self._let_go) if self._latched else held
 
     def _rests(self, joint: Sample) -> bool:
         return abs(float(joint.values[self._velocity_at])) < self._at_rest

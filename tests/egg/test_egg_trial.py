@@ -216,3 +216,21 @@ def test_other_costs_come_on_top() -> None:
     assert attempt.acted is not None
     assert attempt.pressed is not None
     assert 0.051 <= attempt.acted - attempt.pressed <= 0.102
+
+
+@pytest.mark.slow
+def test_the_bento_arm_does_the_same_on_its_fake() -> None:
+    """It is sampled at 50 Hz and brakes at 1000°/s²: what is acted on in time rests short of the egg."""
+    conditions = [CONTROL, SARSA, REACTIVE_SARSA] * 2
+    settings = ["run.clock=virtual", "run.fake=process", 'devices.button.fake.every=["1.5s","1.9s"]']
+    run, blinding = in_conditions(assemble(load(scenario("bento_egg"), settings)), conditions, WIRED)
+    assert isinstance(run.task, ArmStopping)
+    judge = Judge(run.task, conditions)
+    clock.run(run.run([blinding, judge]), "virtual")
+    for each in judge.attempts:
+        assert each.pressed is not None
+        assert each.acted is not None
+        least, most = (0.05, 0.125) if each.condition == SARSA else (0.0, 0.075)
+        assert least <= each.acted - each.pressed <= most
+        assert each.short / degree == pytest.approx(130 - 60 * each.acted - 60**2 / 2000, abs=2.0)
+        assert not each.broken
