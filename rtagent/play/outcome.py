@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtagent.experiments.egg.attempts import Attempt
-from rtagent.experiments.egg.figures import NAMES, draw_events
+from rtagent.experiments.egg.conditions import NAMES
+from rtagent.experiments.egg.figures import draw_events
 from rtagent.units import degree
 
 if TYPE_CHECKING:

@@ -78,6 +78,7 @@ def test_only_the_last_of_a_condition_are_counted_where_that_is_asked() -> None:
     """The first one broke, of ten."""
     usual = group(USUAL)
     assert (rate(usual, CONTROL).middle, rate(usual, CONTROL, 5).middle) == pytest.approx((0.1, 0.0))
+    assert from_control(usual, 5).middle == pytest.approx(0.1 / 0.6)
 
 
 def test_where_no_egg_breaks_half_a_one_is_divided_by() -> None:

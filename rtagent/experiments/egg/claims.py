@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
-from rtagent.experiments.egg.people import Group, Times, from_control, rate, times_as_many, trailing
+from rtagent.experiments.egg.conditions import NAMES, REACTIVE_SARSA, SARSA
+from rtagent.experiments.egg.people import Group, Times, from_control, percent, rate, times_as_many, trailing
+from rtagent.experiments.egg.variants import PRACTISED
 from rtagent.experiments.experiment import Claim, Verdict
 from rtagent.experiments.statistics import Interval, above, below, within
 
@@ -34,7 +35,7 @@ def claims(group: Group) -> list[Claim]:
 def more_failures(group: Group) -> Claim:
     """Say whether SARSA has more than four times the failed stops of reactive SARSA."""
     found = times_as_many(group)
-    rates = ", ".join(f"{name} {rate(group, name)}" for name in (CONTROL, SARSA, REACTIVE_SARSA))
+    rates = ", ".join(f"{name} {percent(rate(group, condition))} %" for condition, name in NAMES.items())
     four = of_four(group)
     return Claim(
         "SARSA has more than four times as many failed stops as reactive SARSA (figure 3.5).",
@@ -49,11 +50,12 @@ def near_control(group: Group) -> Claim:
     """Say whether reactive SARSA is nearer to control than half of SARSA's distance."""
     found = from_control(group)
     return Claim(
-        "Reactive SARSA's failed stops are near those of the hard-wired control (figure 3.5).",
+        "Reactive SARSA's failed stops are near those of control: nearer than half of SARSA's (figure 3.5).",
         "no number is stated",
-        f"{found} of the way from control to SARSA",
+        f"they are {found} times as far from control's as SARSA's are; from those in control's last {PRACTISED} "
+        f"episodes, when people have practised, {from_control(group, PRACTISED)} times",
         below(found, NEAR),
-        "Control acts as the reactive order does, delay included; what remains is that people practise with it.",
+        "Control acts as the reactive order does, delay included: between them is what people learn meanwhile.",
     )
 
 

@@ -23,6 +23,9 @@ CONTROL = "control"
 SARSA, REACTIVE_SARSA = "standard", "reactive"
 """The thesis's conditions are called by their presets."""
 
+NAMES = {CONTROL: "control", SARSA: "SARSA", REACTIVE_SARSA: "reactive SARSA"}
+"""What readers know them by."""
+
 WIRED = np.array([[1.0, 0.0], [0.0, 1.0]])
 """What moving and stopping are worth in Normal and in Emergency to who is wired to stop."""
 

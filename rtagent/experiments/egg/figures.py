@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtagent.experiments import style
-from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
+from rtagent.experiments.egg.conditions import CONTROL, NAMES, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.people import Group, Times, rate
 from rtagent.experiments.egg.variants import MAIN, PRACTISED, SPEEDS, alone, at_speed
 from rtagent.experiments.experiment import Figure
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-NAMES = {CONTROL: "control", SARSA: "SARSA", REACTIVE_SARSA: "reactive SARSA"}
 FAILED = (
     ("control", CONTROL, 0),
     ("SARSA", SARSA, 0),

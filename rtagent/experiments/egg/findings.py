@@ -9,10 +9,10 @@ import numpy as np
 from rtagent.experiments.egg.claims import claims
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.figures import figures
-from rtagent.experiments.egg.people import Group, grouped, rate, times_as_many
+from rtagent.experiments.egg.people import Group, grouped, percent, rate, times_as_many
 from rtagent.experiments.egg.variants import MAIN, PRACTISED, alone
 from rtagent.experiments.experiment import Cell, Findings, Options, Row, Table
-from rtagent.experiments.statistics import Interval, interval
+from rtagent.experiments.statistics import interval
 from rtagent.schedule import PRESETS
 from rtagent.units import degree
 
@@ -55,11 +55,6 @@ def _of_presets(groups: Mapping[str, Group]) -> Table:
     )
     head = ("schedule", "people", "failed (%)", "press to action (ms)", "distance from whole eggs (°)")
     return Table("One schedule in all episodes, to which people adapt; 95 % intervals over people.", head, rows)
-
-
-def percent(found: Interval) -> str:
-    """Return a part as a percentage with its interval."""
-    return str(Interval(*(100 * end for end in (found.low, found.middle, found.high))))
 
 
 def _gap(group: Group, condition: str) -> str:

@@ -75,6 +75,11 @@ def rate(group: Group, condition: str, last: int = 0) -> Interval:
     return interval(group.rates(condition, last))
 
 
+def percent(found: Interval) -> str:
+    """Return a part as a percentage with its interval."""
+    return str(Interval(*(100 * end for end in (found.low, found.middle, found.high))))
+
+
 def times_as_many(group: Group) -> Interval:
     """Return how many times as many stops failed with SARSA as with reactive SARSA, with its interval."""
     standard, reactive = (group.rates(condition) for condition in (SARSA, REACTIVE_SARSA))
@@ -82,9 +87,10 @@ def times_as_many(group: Group) -> Interval:
     return group.of_people(lambda drawn: standard[drawn].mean() / max(reactive[drawn].mean(), least))
 
 
-def from_control(group: Group) -> Interval:
-    """Return how far reactive SARSA's failures are from control's, in parts of how far SARSA's are."""
-    control, standard, reactive = (group.rates(each) for each in (CONTROL, SARSA, REACTIVE_SARSA))
+def from_control(group: Group, last: int = 0) -> Interval:
+    """Return how far reactive SARSA's failures are from those of control (its `last`), in parts of SARSA's."""
+    control = group.rates(CONTROL, last)
+    standard, reactive = (group.rates(each) for each in (SARSA, REACTIVE_SARSA))
 
     def share(drawn: NDArray[np.intp]) -> float:
         far = abs(standard[drawn].mean() - control[drawn].mean())
