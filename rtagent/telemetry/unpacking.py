@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy as np
 from rtagent.telemetry import records
 from rtagent.telemetry.packing import unpack
 from rtagent.telemetry.records import STREAM_OF, Record
+
+Calls = Sequence[tuple[str, Sequence[Any]]]
 
 DEVICE_SAMPLE = ("values", "world_time_ns", "arrival_time_ns", "number", "time_source")
 
@@ -47,9 +49,10 @@ class Unpacker:
         self.time = max(self.time, time)
         return kind(sequence=sequence, time_ns=time, **fields)
 
-    def __call__(self, message: bytes) -> Iterator[Record]:
-        """Yield the records of a message."""
+    def __call__(self, message: bytes, heard: Callable[[Calls], None] = lambda calls: None) -> Iterator[Record]:
+        """Yield the records of a message; its calls are `heard` first."""
         lost, calls, newest = unpack(message)
+        heard(calls)
         if lost is not None:
             self._skip(*lost)
         components: dict[str, int] = {}
