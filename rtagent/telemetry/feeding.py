@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from rtagent.clock import RealClock
 from rtagent.experience import Transition
-from rtagent.telemetry.collect import Cycle, Lost
+from rtagent.telemetry.collect import Collector, Cycle, Lost
 from rtagent.telemetry.lull import Lull
 from rtagent.telemetry.packing import pack
 from rtagent.telemetry.ring import Ring
@@ -23,10 +22,15 @@ MANY = 100
 
 
 class Feeder:
-    """Packs cycles into a ring, the oldest first; where that is full, they wait in the buffer."""
+    """Packs what a collector has into a ring, the oldest first; where that is full, it waits in the buffer.
 
-    def __init__(self, buffer: deque[Cycle], ring: Ring, lull: Lull) -> None:
-        self._buffer, self._ring, self._lull = buffer, ring, lull
+    Once a second it has the collector count.
+    """
+
+    def __init__(self, collector: Collector, ring: Ring, lull: Lull) -> None:
+        self._buffer, self._count = collector.buffer, collector.count
+        self._ring, self._lull = ring, lull
+        self._next_count = 0
         self._packed: bytes | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work, name="telemetry", daemon=True)
@@ -68,6 +72,12 @@ class Feeder:
             while self._feed_in_lull():
                 give_way()
             pause.wait(PAUSE)
+            self._count_in_time()
+
+    def _count_in_time(self) -> None:
+        if RealClock.now() >= self._next_count and not self._ending.is_set():
+            self._next_count = RealClock.now() + second
+            self._count()
 
     def _feed_in_lull(self) -> bool:
         """Pack one cycle once the loop rests; say whether there was one, and room for it."""

@@ -66,7 +66,7 @@ class Link:
         self._closing = self.closed = False
         """Whether the sender has ended what it does, and the recording is complete."""
         self.collector = Collector(about["state"], wishes.buffer, self._make_room if self._virtual else None)
-        self._feeder = Feeder(self.collector.buffer, self._ring, Lull(pace))
+        self._feeder = Feeder(self.collector, self._ring, Lull(pace))
         self._process = self._start(about, place)
         self._listener = threading.Thread(target=self._listen, name="telemetry", daemon=True)
         self._listener.start()

@@ -172,7 +172,7 @@ class Sender:
     def _counters(self) -> Record:
         lost = {f"lost.{stream}": count for stream, count in self._unpack.lost.items()}
         missing = {} if self._recorder is None else {"not_recorded": self._recorder.not_recorded}
-        values = lost | missing | {"buffered": self._ring.filled}
+        values = self._unpack.counts | lost | missing | {"buffered": self._ring.filled}
         return self._unpack.make(records.Counters, self._now(), values=values)
 
     def _command(self, name: str, text: str) -> str:

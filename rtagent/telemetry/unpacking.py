@@ -22,7 +22,7 @@ class Unpacker:
     """Makes records, numbers them by stream, and knows what of each stream was lost.
 
     `actions` are the names of the run's actions. What is told of the run as a whole is kept: its `demons`, how it
-    `ended`; `run_changed` says whether there is something new.
+    `ended`, its `counts`; `run_changed` says whether there is something new of it.
     """
 
     def __init__(self, actions: Sequence[str]) -> None:
@@ -34,6 +34,7 @@ class Unpacker:
         self.run_changed = False
         self._next: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
+        self.counts: dict[str, int] = {}
         self._last_sample: dict[str, tuple[int, int]] = {}
         self._about = self._learned_at = 0
         self._chosen: tuple[float, int | None] = (1.0, None)
@@ -84,6 +85,10 @@ class Unpacker:
         self._order, self._precision = np.argsort(places), precision
         self.demons = [records.DemonAbout(*about[number]) for number in self._order]
         self.run_changed = True
+        return iter(())
+
+    def _counted(self, counts: dict[str, int]) -> Iterator[Record]:
+        self.counts = counts
         return iter(())
 
     def _run_ended(self, how: str) -> Iterator[Record]:
