@@ -80,7 +80,8 @@ def pooled(
 def _between(middle: float, drawn: NDArray[np.float64], seeds: int) -> Interval:
     if seeds < FEW:
         return Interval(-np.inf, middle, np.inf)
-    low, high = np.quantile(drawn, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    ends = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    low, high = np.quantile(drawn, ends, method="inverted_cdf")  # which takes ratios to nothing, too
     return Interval(float(low), middle, float(high))
 
 

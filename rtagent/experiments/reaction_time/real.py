@@ -26,8 +26,8 @@ THESIS_MICROSECONDS = (2.8, 3.9)
 """About 3.33 µs a demon."""
 
 MODELS = (
-    "The joint is a fake that is read as of now; the clock, the processor and what the operating system does to both are "
-    "real. Another program on this machine disturbs what is measured.",
+    "The joint is a fake that is read as of now; the clock, the processor and what the operating system does to "
+    "both are real. Another program on this machine disturbs what is measured.",
 )
 
 
