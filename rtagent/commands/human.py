@@ -26,7 +26,6 @@ from rtagent.play.key_reader import KeyReader
 from rtagent.play.outcome import table, write
 from rtagent.result import Result
 from rtagent.scenario import Assembly, Scenario, assemble, load
-from rtagent.scenario.load import Part
 from rtagent.tasks import ArmStopping
 from rtagent.telemetry.link import time_of_day
 
@@ -61,12 +60,12 @@ class Human:
         """Who leads through the conditions, who judges, and the game itself."""
         return [self._blinding, self._judge, self._game]
 
-    def begin(self, latch: Latch, out: TextIO, file: int | None = None) -> bool:
+    def begin(self, latch: Latch, out: TextIO) -> bool:
         """Tell the person what to do, and wait for them; say whether they begin."""
         assert isinstance(self._button, Pressable), "it was looked at before"
         self._out = out
         self._game = Game(self._judge, self._button.press, KEY, latch, out)
-        self._keys = KeyReader(sys.stdin.fileno() if file is None else file, self._game.hear)
+        self._keys = KeyReader(sys.stdin.fileno(), self._game.hear)
         self._game.introduce()
         return self._game.wait()
 
@@ -102,27 +101,23 @@ def prepare(path: str, given: Sequence[str], arguments: argparse.Namespace) -> t
     _check_terminal()
     stem = _stem(arguments.human or f"egg-{time_of_day()}")
     seed = [] if arguments.seed is not None else [f"run.seed={secrets.randbelow(10**9)}"]
-    button = _button_of(load(path, given))
-    live = [f"devices.{button.path[-1]}.{setting}" for setting in LIVE.get(button.name, ())]
-    scenario = load(path, [*seed, *live, *given])
-    assembly = assemble(scenario)
-    pressed = scenario.devices[str(button.path[-1])]
-    assembly.devices[str(button.path[-1])] = plugins.build(
-        pressed.plugin, pressed.given()
-    )  # itself, also with --fake
+    name, driver = _button_of(load(path, given))
+    scenario = load(path, [*seed, *(f"devices.{name}.{setting}" for setting in LIVE.get(driver, ())), *given])
+    assembly, button = assemble(scenario), scenario.devices[name]
+    assembly.devices[name] = plugins.build(button.plugin, button.given())  # the driver itself, also with --fake
     _check(scenario, assembly)
     return scenario, Human(assembly, stem)
 
 
-def _button_of(scenario: Scenario) -> Part:
-    """Return the device that the person presses."""
+def _button_of(scenario: Scenario) -> tuple[str, str]:
+    """Return the device that the person presses, and its driver."""
     task = scenario.parts["task"]
     if task.plugin is not ArmStopping or getattr(task.settings, "obstacle", None) is None:
         raise ScenarioError(["--human is for the task arm_stopping with an obstacle, as in scenarios/egg.toml."])
     name = str(task.given()["emergency"]).partition(".")[0]
     if name not in scenario.devices:
         raise ScenarioError([f"--human: there is no device {name!r}: let task.emergency name a button."])
-    return scenario.devices[name]
+    return name, scenario.devices[name].name
 
 
 def _check(scenario: Scenario, assembly: Assembly) -> None:

@@ -10,7 +10,7 @@ from rtagent import clock
 from rtagent.experiments.egg.attempts import Attempt, Judge
 from rtagent.experiments.egg.conditions import in_conditions, shuffled
 from rtagent.experiments.experiment import Cell, Row
-from rtagent.experiments.scenarios import scenario
+from rtagent.experiments.scenarios import run_scenario, scenario
 from rtagent.learning import ControlLearner
 from rtagent.scenario import assemble, load
 from rtagent.schedule import PRESETS
@@ -33,8 +33,7 @@ LEARNED_IN = 40
 def learned(preset: str, seed: int) -> ControlLearner:
     """Return what an agent has learned in `LEARNED_IN` episodes of `egg` with a modelled person."""
     settings = ["run.clock=virtual", f"run.seed={seed}", f"run.episodes={LEARNED_IN}", *scheduled(preset)]
-    result = clock.run(assemble(load(scenario("egg"), settings)).run(), "virtual")
-    learner: ControlLearner = result.agents[0].learner  # type: ignore[assignment]  # it controls
+    learner: ControlLearner = run_scenario("egg", settings).agents[0].learner  # type: ignore[assignment]  # it controls
     return learner
 
 
