@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -88,14 +89,13 @@ def test_where_no_egg_breaks_half_a_one_is_divided_by() -> None:
 
 
 def test_the_thesis_is_found_again_in_data_that_say_so() -> None:
-    assert verdicts(claims(group(USUAL))) == [Verdict.REPRODUCED] * 5
+    assert verdicts(claims(group(USUAL))) == [Verdict.REPRODUCED] * 6
 
 
 def test_other_data_give_other_verdicts() -> None:
     """The two algorithms changed round, in failures and in times."""
     swapped = {CONTROL: 0.025, SARSA: 0.025, REACTIVE_SARSA: 0.075}
-    more, near, trails, overlap, gap = claims(group(OTHERWISE, swapped))
-    assert verdicts((more, near, trails, overlap, gap)) == [Verdict.NOT_REPRODUCED] * 5
+    assert verdicts(claims(group(OTHERWISE, swapped))) == [Verdict.NOT_REPRODUCED] * 6
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,15 @@ def test_where_people_differ_much_four_times_is_undecided() -> None:
     """Half of them break 2 of 20, and half 16: 9 against 2 on average, and it might be fewer."""
     people = [person({**USUAL, SARSA: broken}) for broken in (2, 16)] * (PEOPLE // 2)
     assert claims(Group(people))[0].verdict is Verdict.UNDECIDED
+
+
+def test_one_person_in_six_who_crushes_as_many_is_in_half_of_the_groups() -> None:
+    """Two of twelve: 1 - (10 · 9 · 8 · 7) / (12 · 11 · 10 · 9) = 58 % of groups of four have one of them or both."""
+    people = [person(USUAL)] * 10 + [person({**USUAL, SARSA: 2})] * 2
+    found = claims(Group(people))[1]
+    (share,) = re.findall(r"so in (\d+)%", found.ours)
+    assert int(share) == pytest.approx(42, abs=6)
+    assert found.verdict is Verdict.UNDECIDED
 
 
 def test_most_groups_of_four_decide() -> None:
@@ -139,7 +148,7 @@ def test_people_of_all_cells_of_a_variant_are_one_group() -> None:
 def test_everything_found_can_be_drawn_and_told() -> None:
     canvas_of = pytest.importorskip("matplotlib.figure").Figure
     found = find(pairs_of(), Options())
-    assert len(found.claims) == 5
+    assert len(found.claims) == 6
     for figure in found.figures:
         canvas = canvas_of(figsize=figure.size)
         figure.draw(canvas)
