@@ -114,7 +114,7 @@ def test_where_people_differ_much_four_times_is_undecided() -> None:
 
 
 def test_one_person_in_six_who_crushes_as_many_is_in_half_of_the_groups() -> None:
-    """Two of twelve: 1 - (10 · 9 · 8 · 7) / (12 · 11 · 10 · 9) = 58 % of groups of four have one of them or both."""
+    """Two of twelve: 1 - (10 · 9 · 8 · 7) / (12 · 11 · 10 · 9) = 58 % of groups of four have one of them."""
     people = [person(USUAL)] * 10 + [person({**USUAL, SARSA: 2})] * 2
     found = claims(Group(people))[1]
     (share,) = re.findall(r"so in (\d+)%", found.ours)
