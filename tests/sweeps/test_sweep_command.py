@@ -64,6 +64,7 @@ def test_each_combination_has_a_row_for_each_seed_as_a_run_alone_would_have_it(t
     settings = ["run.clock=virtual", "run.episodes=2", "run.seed=6", "schedule.preset=reactive"]
     alone = clock.run(assemble(load(STOPPING, [*settings, "schedule.learn_delay=100ms"])).run(), "virtual")
     row = found[5]
+    assert list(row)[:5] == ["run", "schedule.preset", "schedule.learn_delay", "seed", "ended"]
     assert json.loads(row["returns"]) == [episode.total_reward for episode in alone.episodes]
     assert float(row["reaction_median_s"]) == alone.reaction_time.median / 1e9
     assert (row["ended"], row["episodes"]) == ("done", "2")
