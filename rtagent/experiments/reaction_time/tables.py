@@ -37,8 +37,8 @@ def literal_table(pairs: Sequence[tuple[Cell, Row]]) -> Table:
     head = ("schedule", "delay", "answered before they were seen", "answered after", "missed")
     rows = tuple((cell["schedule"], f"{cell['delay_ms']:g} ms", *_answers(row)) for cell, row in pairs)
     caption = (
-        "Emergencies of the last episodes where rewards count microseconds, as the thesis prints: a needless stop costs "
-        "as much as one microsecond. Who stops all the time answers before anything is seen."
+        "Emergencies of the last episodes where rewards count microseconds, as the thesis prints: a needless stop "
+        "costs as much as one of them. Who stops all the time answers before anything is seen."
     )
     return Table(caption, head, rows)
 
