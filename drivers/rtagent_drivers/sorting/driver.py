@@ -12,8 +12,9 @@ def sorting_arm(
     *,
     trials: int = 30,
     weights: tuple[float, ...] = WEIGHTS,
+    wrist: bool = False,
     sampling: Sampling | None = None,
     faults: Faults | None = None,
 ) -> FakeDevice:
     """A simulated Bento Arm that sorts three objects by their weight, for predictions: it takes no commands."""
-    return FakeDevice(SortingWorld(trials, weights), sampling or Sampling(rate=RATE), faults)
+    return FakeDevice(SortingWorld(trials, weights, wrist=wrist), sampling or Sampling(rate=RATE), faults)

@@ -2,13 +2,13 @@
 
 It begins at one end of its shoulder's rotation, closes its gripper around an object, lifts its elbow while it turns
 its shoulder towards the place that belongs to the object's weight, lowers its elbow, opens the gripper, and returns.
-The wrist is held: the thesis says nothing of it. Joints move with minimum jerk (Flash and Hogan 1985); speeds, pauses
-and ends of ways are a little otherwise each time.
+The wrist, of which the thesis says nothing, is held; or it keeps the hand level and turns the object as it is lowered.
+Joints move with minimum jerk (Flash and Hogan 1985); speeds, pauses and ends of ways are a little otherwise each time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from rtagent_drivers.sorting.dynamics import torques
 from rtagent_drivers.sorting.servos import MX_28, MX_64, MX_106, STIFFNESS, Drives
 
 JOINTS = ("shoulder", "elbow", "wrist_rotation", "wrist_flexion", "hand")
-SHOULDER, ELBOW, HAND = 0, 1, 4
+SHOULDER, ELBOW, ROTATION, FLEXION, HAND = range(5)
 MOTORS = (MX_64, MX_106, MX_28, MX_28, MX_28)
 DRIVES = Drives(MOTORS)
 
@@ -31,6 +31,8 @@ START, PLACES = 1.2, (0.3, -0.4, -1.1)
 """rad of the shoulder: where objects are picked up, and where they belong, the lightest first."""
 DOWN, UP, REST = -0.5, 0.25, -0.1
 """rad of the elbow at the table and where it carries, and of the wrist's flexion."""
+TURNED, LEVELLED = 0.5, 0.8
+"""rad by which a wrist that is not held turns an object, and how much of the elbow's way its flexion makes up for."""
 OPEN, WIDTH, SQUEEZE = 0.9, 0.45, 0.05
 """rad of the hand: open, closed around an object, and by how much further it is told to close."""
 BORNE = 0.02
@@ -71,9 +73,13 @@ class Trial:
         return (len(self.goals) - 1) * STEP
 
 
-def trial(place: float, weight: float, before: FloatArray, rng: Generator) -> Trial:
-    """Return a trial that carries `weight` (kg) to a `place` (rad); the servos' temperatures were those `before`."""
+def trial(place: float, weight: float, before: FloatArray, rng: Generator, *, wrist: bool = False) -> Trial:
+    """Return a trial that carries `weight` (kg) to a `place` (rad); the servos' temperatures were those `before`.
+
+    With `wrist` the wrist moves too.
+    """
     moves = list(_moves(place, rng))
+    moves += _of_the_wrist(moves) if wrist else ()
     ends = max(move.begins + move.lasts for move in moves) + rng.uniform(0.3, 0.5)
     goals = _goals(moves, STEP * np.arange(ceil(ends / STEP) + 1))
     gripped = goals[:, HAND] < WIDTH
@@ -103,7 +109,15 @@ def _moves(place: float, rng: Generator) -> Iterator[Move]:
         now += lasts + rng.uniform(0.1, 0.4)
 
 
-def _goals(moves: list[Move], times: FloatArray) -> FloatArray:
+def _of_the_wrist(moves: Sequence[Move]) -> Iterator[Move]:
+    """Yield what the wrist does while the elbow moves: up, down at the place, up, down at the start."""
+    elbow = [move for move in moves if move.joint == ELBOW]
+    for move, turned in zip(elbow, (0.0, TURNED, 0.0, 0.0), strict=True):
+        yield move._replace(joint=FLEXION, goal=REST + LEVELLED * (DOWN - move.goal))
+        yield move._replace(joint=ROTATION, goal=turned)
+
+
+def _goals(moves: Sequence[Move], times: FloatArray) -> FloatArray:
     """Return what the servos are told at these times (s), shape (times, joints)."""
     pose = [START, DOWN, 0.0, REST, OPEN]
     goals = np.tile(pose, (len(times), 1))

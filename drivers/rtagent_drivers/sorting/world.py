@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import pi, sqrt
 
 import numpy as np
 from numpy.random import Generator
 
 from rtagent.errors import SpecError
-from rtagent.experience import Command, FloatArray, Stimulus, Values
+from rtagent.experience import Command, Stimulus, Values
 from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec, Value
 from rtagent.units import second
 from rtagent_drivers.arm import noise
 from rtagent_drivers.dynamixel.control_table import Register
 from rtagent_drivers.dynamixel.models import by_name
-from rtagent_drivers.dynamixel.values import bounds, to_si
+from rtagent_drivers.dynamixel.values import bounds
 from rtagent_drivers.sorting.servos import AMBIENT, STIFFNESS
 from rtagent_drivers.sorting.trials import JOINTS, MOTORS, PLACES, STEP, Trial, trial
 
@@ -40,16 +40,16 @@ FASTEST, HOTTEST = 3.0, 80.0
 class SortingWorld:
     """The arm carries each object so many `trials` times, in an order drawn at random, and then rests.
 
-    `weights` are those of the objects (kg), the lightest first. A state is a function of time: trials are computed
+    `weights` are those of the objects (kg), the lightest first; without `wrist` the wrist is held. A state is a function of time: trials are computed
     when they are first asked for, each from how warm the one before left the servos.
     """
 
-    def __init__(self, trials: int = 30, weights: Sequence[float] = WEIGHTS) -> None:
+    def __init__(self, trials: int = 30, weights: Sequence[float] = WEIGHTS, *, wrist: bool = False) -> None:
         if trials < 1:
             raise SpecError(f"trials is {trials}: give how often each object is carried, 1 or more.")
         if len(weights) != len(PLACES) or not all(0 < weight <= 1 for weight in weights):
             raise SpecError(f"weights are {list(weights)}: give {len(PLACES)} of them in kg, above 0 and up to 1.")
-        self._count, self._weights = trials, tuple(sorted(weights))
+        self._count, self._weights, self._wrist = trials, tuple(sorted(weights)), wrist
         self._servos = [_Servo(name, motor.model) for name, motor in zip(JOINTS, MOTORS, strict=True)]
         sensors = {name: spec for servo in self._servos for name, spec in servo.sensors.items()}
         self.spec = DeviceSpec(sensors=sensors | {ENDED: Spec.flag()})
@@ -74,11 +74,11 @@ class SortingWorld:
         over = number == len(self.objects)
         known = self._trials[number - over]
         place = len(known.goals) - 1.0 if over else (time - self._starts[number]) / second / STEP
-        values: dict[str, Value] = {ENDED: over}
-        for joint, servo in enumerate(self._servos):
+        values: dict[str, Value] = {}
+        for joint, (servo, felt) in enumerate(zip(self._servos, _between(known, place), strict=True)):
             wobble = noise(self._seed, time, joint)[0] * sqrt(3.0) * ENCODER_NOISE
-            values.update(servo.read(*_between(known, place, joint), wobble))
-        return values
+            values.update(servo.read(*felt, wobble))
+        return values | {ENDED: over}
 
     def command(self, now: int, command: Command) -> Command:
         """Take no command: it has no actuators."""
@@ -108,7 +108,7 @@ class SortingWorld:
         carried = self.objects[number]
         before = self._trials[-1].temperatures[-1] if self._trials else np.full(len(JOINTS), AMBIENT)
         rng = np.random.default_rng((self._seed, 1 + number))
-        made = trial(PLACES[carried], self._weights[carried], before, rng)
+        made = trial(PLACES[carried], self._weights[carried], before, rng, wrist=self._wrist)
         self._trials.append(made)
         self._starts.append(self._starts[-1] + round(made.lasts * second))
 
@@ -118,8 +118,8 @@ class _Servo:
 
     def __init__(self, name: str, model: str) -> None:
         registers = by_name(model).registers
-        self._position, self._velocity = registers["present_position"], registers["present_velocity"]
-        self._load, self._temperature = registers["present_load"], registers["present_temperature"]
+        self._position, self._velocity = _Counts(registers["present_position"]), _Counts(registers["present_velocity"])
+        self._load, self._temperature = _Counts(registers["present_load"]), _Counts(registers["present_temperature"])
         low, high = RANGES[name]
         self.sensors = {
             f"{name}_position": Spec(unit="rad", low=low, high=high),
@@ -135,25 +135,27 @@ class _Servo:
 
         The load is the controller's own output, which follows from how many counts the encoder is off the goal.
         """
-        seen = _counted(self._position, position + wobble)
-        off = _counted(self._position, goal) - seen
-        measured = seen, _counted(self._velocity, velocity), _counted(self._load, STIFFNESS * off)
-        return dict(zip(self.sensors, (*measured, _counted(self._temperature, temperature)), strict=True))
+        seen = self._position(position + wobble)
+        load = self._load(STIFFNESS * (self._position(goal) - seen))
+        measured = seen, self._velocity(velocity), load, self._temperature(temperature)
+        return dict(zip(self.sensors, measured, strict=True))
 
 
-def _counted(register: Register, value: float) -> float:
-    """Return the value as the register holds it: the nearest count, within its bounds."""
-    low, high = bounds(register)
-    return to_si(register, min(max(round(value / register.scale + register.zero), low), high))
+class _Counts:
+    """Rounds values to whole counts of a register, within its bounds."""
+
+    def __init__(self, register: Register) -> None:
+        self._scale, self._zero, (self._low, self._high) = register.scale, register.zero, bounds(register)
+
+    def __call__(self, value: float) -> float:
+        """Return what the register makes of a value."""
+        count = round(value / self._scale) + self._zero
+        return (min(max(count, self._low), self._high) - self._zero) * self._scale
 
 
-def _between(known: Trial, place: float, joint: int) -> tuple[float, float, float, float]:
-    """Return goal, position, velocity and temperature of a joint, `place` steps after the trial began."""
+def _between(known: Trial, place: float) -> Iterator[tuple[float, ...]]:
+    """Yield goal, position, velocity and temperature of each joint, `place` steps after the trial began."""
     first = min(int(place), len(known.goals) - 2)
     part = place - first
-
-    def at(series: FloatArray) -> float:
-        before, after = series[first : first + 2, joint]
-        return float(before + part * (after - before))
-
-    return at(known.goals), at(known.positions), at(known.velocities), at(known.temperatures)
+    series = (known.goals, known.positions, known.velocities, known.temperatures)
+    return zip(*((each[first] + part * (each[first + 1] - each[first])).tolist() for each in series), strict=True)
