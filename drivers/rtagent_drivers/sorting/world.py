@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -40,8 +41,9 @@ FASTEST, HOTTEST = 3.0, 80.0
 class SortingWorld:
     """The arm carries each object so many `trials` times, in an order drawn at random, and then rests.
 
-    `weights` are those of the objects (kg), the lightest first; without `wrist` the wrist is held. A state is a function of time: trials are computed
-    when they are first asked for, each from how warm the one before left the servos.
+    `weights` are those of the objects (kg), the lightest first; without `wrist` the wrist is held. A state is a
+    function of time: trials are computed when they are first asked for, each from how warm the one before left
+    the servos.
     """
 
     def __init__(self, trials: int = 30, weights: Sequence[float] = WEIGHTS, *, wrist: bool = False) -> None:
@@ -118,8 +120,14 @@ class _Servo:
 
     def __init__(self, name: str, model: str) -> None:
         registers = by_name(model).registers
-        self._position, self._velocity = _Counts(registers["present_position"]), _Counts(registers["present_velocity"])
-        self._load, self._temperature = _Counts(registers["present_load"]), _Counts(registers["present_temperature"])
+        self._position, self._velocity = (
+            _Counts(registers["present_position"]),
+            _Counts(registers["present_velocity"]),
+        )
+        self._load, self._temperature = (
+            _Counts(registers["present_load"]),
+            _Counts(registers["present_temperature"]),
+        )
         low, high = RANGES[name]
         self.sensors = {
             f"{name}_position": Spec(unit="rad", low=low, high=high),
@@ -153,9 +161,12 @@ class _Counts:
         return (min(max(count, self._low), self._high) - self._zero) * self._scale
 
 
-def _between(known: Trial, place: float) -> Iterator[tuple[float, ...]]:
+def _between(known: Trial, place: float) -> Iterator[tuple[float, float, float, float]]:
     """Yield goal, position, velocity and temperature of each joint, `place` steps after the trial began."""
     first = min(int(place), len(known.goals) - 2)
     part = place - first
     series = (known.goals, known.positions, known.velocities, known.temperatures)
-    return zip(*((each[first] + part * (each[first + 1] - each[first])).tolist() for each in series), strict=True)
+    at: Iterator[Any] = zip(
+        *((each[first] + part * (each[first + 1] - each[first])).tolist() for each in series), strict=True
+    )
+    return at

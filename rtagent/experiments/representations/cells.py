@@ -26,8 +26,10 @@ from rtagent.features import FeatureCoder
 from rtagent.learning import TrueOnlineTD
 
 ALPHA, GAMMA, LAMBDA = 0.001, 0.9, 0.99
-READINGS = {"printed": False, "divided": True}
-"""How the thesis's step size is read: as that of each weight, or divided by the number of active features."""
+READINGS = {"printed": (ALPHA, False), "divided": (ALPHA, True), "equal": (0.2, True)}
+"""How the thesis's step size is read: as that of each weight; divided by the number of active features; and, to compare
+with, so that all representations have what 8,000 prototypes have as printed: 0.2 of all active features together.
+"""
 RECORDING = "recording"
 ARMS: Mapping[str, Mapping[str, Any]] = {
     "arm, wrist held": {"name": "sorting"},
@@ -151,14 +153,9 @@ def _lesson(cell: Cell) -> tuple[Lesson, FeatureCoder]:
 
 
 def _learner(coder: FeatureCoder, reading: str) -> TrueOnlineTD:
-    return TrueOnlineTD(
-        size=coder.size,
-        active=coder.active,
-        alpha=ALPHA,
-        divide_alpha=READINGS[reading],
-        gamma=GAMMA,
-        lambda_=LAMBDA,
-    )
+    alpha, divided = READINGS[reading]
+    alpha = alpha / coder.active if divided else alpha
+    return TrueOnlineTD(size=coder.size, active=coder.active, alpha=alpha, divide_alpha=False, lambda_=LAMBDA)
 
 
 def _step(lesson: Lesson, coder: FeatureCoder, rows: int) -> float:

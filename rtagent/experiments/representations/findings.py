@@ -15,7 +15,11 @@ from rtagent.experiments.representations.points import Pair, Point, points
 from rtagent.experiments.representations.signals import BENTO, LAYOUTS, Layout
 from rtagent.experiments.representations.times import table, table_claims, time_claims, timed
 
-CALLED = {"printed": f"α = {ALPHA:g} of each weight", "divided": f"α = {ALPHA:g} / c"}
+CALLED = {
+    "printed": f"α = {ALPHA:g} of each weight",
+    "divided": f"α = {ALPHA:g} / c",
+    "equal": f"α = {READINGS['equal'][0]:g} / c",
+}
 
 
 def find(pairs: Sequence[Pair], options: Options) -> Findings:
@@ -71,8 +75,11 @@ def _layout(pairs: Sequence[Pair]) -> Layout:
 
 
 def _which(claims: dict[str, list[Claim]], source: str) -> str:
-    told = [f"{reproduced(each)} of {len(each)} with {CALLED[reading]}" for reading, each in claims.items()]
-    return f"{source}: of the claims about errors, {' and '.join(told)} come out; listed are those with the first."
+    told = [f"{reproduced(each)} with {CALLED[reading]}" for reading, each in claims.items()]
+    return (
+        f"{source}: of {len(claims['printed'])} claims about errors come out {', '.join(told)}. Listed are those "
+        "with the first, as it is printed; with the last, all representations learn at the same pace."
+    )
 
 
 def _notes(baselines: Sequence[Pair], layout: Layout, source: str) -> Iterator[str]:
