@@ -181,6 +181,11 @@ def _mean_time(lesson: Lesson, coder: FeatureCoder, learner: PredictionLearner, 
 
 
 def part_error(predictions: FloatArray, truth: Returns, part: slice, power: int = 1) -> float:
-    """Return the mean of |error|^`power` over the rows of a part whose return is known; NaN after diverging."""
+    """Return the mean of |error|^`power` over the rows of a part whose return is known; NaN after diverging.
+
+    Raises `SpecError` where there are none.
+    """
     errors = np.abs(predictions[part] - truth.values[part])[truth.known[part]]
+    if not errors.size:
+        raise SpecError("the stream is too short: no return is known in the part of it that errors are taken from.")
     return float(np.mean(errors**power))

@@ -15,7 +15,7 @@ from rtagent.experience import Command, Stimulus, Values
 from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec, Value
 from rtagent.units import second
-from rtagent_drivers.arm import noise
+from rtagent_drivers.arm import noise_at
 from rtagent_drivers.dynamixel.control_table import Register
 from rtagent_drivers.dynamixel.models import by_name
 from rtagent_drivers.dynamixel.values import bounds
@@ -78,7 +78,7 @@ class SortingWorld:
         place = len(known.goals) - 1.0 if over else (time - self._starts[number]) / second / STEP
         values: dict[str, Value] = {}
         for joint, (servo, felt) in enumerate(zip(self._servos, _between(known, place), strict=True)):
-            wobble = noise(self._seed, time, joint)[0] * sqrt(3.0) * ENCODER_NOISE
+            wobble = noise_at(self._seed, time, joint)[0] * sqrt(3.0) * ENCODER_NOISE
             values.update(servo.read(*felt, wobble))
         return values | {ENDED: over}
 

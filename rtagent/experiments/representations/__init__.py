@@ -24,8 +24,8 @@ EXPERIMENT = Experiment(
         "The arm is point masses on the axes of shoulder, elbow and wrist, with gravity and the inertia of the "
         "motors; servos are motors with gearboxes, as others identified them, under proportional control, with "
         "friction, lag and sag, heated by their currents; encoders have noise, and all is read in whole counts.",
-        "Of elasticity, backlash and stiction, of contact with the table beyond that it bears the object, and of the "
-        "supply's sag there is nothing in it. What was done with the wrist the thesis does not say: in one of our "
-        "arms it is held, in another it keeps the hand level and turns the object.",
+        "Of elasticity, backlash and stiction, of contact with the table beyond that it bears the object, and of "
+        "the supply's sag there is nothing in it. What was done with the wrist the thesis does not say: in one of "
+        "our arms it is held, in another it keeps the hand level and turns the object.",
     ),
 )

@@ -27,8 +27,8 @@ from rtagent.learning import TrueOnlineTD
 
 ALPHA, GAMMA, LAMBDA = 0.001, 0.9, 0.99
 READINGS = {"printed": (ALPHA, False), "divided": (ALPHA, True), "equal": (0.2, True)}
-"""How the thesis's step size is read: as that of each weight; divided by the number of active features; and, to compare
-with, so that all representations have what 8,000 prototypes have as printed: 0.2 of all active features together.
+"""How the thesis's step size is read: as that of each weight; divided by the number of active features; and, for
+comparison, so that all have what 8,000 prototypes have as it is printed, 0.2 of all active features together.
 """
 RECORDING = "recording"
 ARMS: Mapping[str, Mapping[str, Any]] = {

@@ -110,8 +110,8 @@ class _Found:
         """Say what becomes of the form where all numbers of prototypes learn at the same pace."""
         ends = [(dimensions, self._ends(dimensions, EQUAL)[1]) for dimensions in self._dimensions]
         return (
-            "with the same α for each weight, more active features move a prediction further at each step; where all "
-            f"move it as far as {BEST:,} prototypes do, {self._largest:,} to {BEST:,} are "
+            "with the same α for each weight, more active features move a prediction further at each step; where "
+            f"all move it as far as {BEST:,} prototypes do, {self._largest:,} to {BEST:,} are "
             + ", ".join(f"{ratio} ({dimensions} dimensions)" for dimensions, ratio in ends)
         )
 

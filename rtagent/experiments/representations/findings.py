@@ -21,6 +21,8 @@ CALLED = {
     "equal": f"α = {READINGS['equal'][0]:g} / c",
 }
 
+FIGURES = ("printed", "equal")
+
 
 def find(pairs: Sequence[Pair], options: Options) -> Findings:
     """Return what was found: errors on the simulated arm and on a recording, times, and table 4.1."""
@@ -59,7 +61,7 @@ def _of_source(pairs: Sequence[Pair], source: str) -> Findings:
     claims = {reading: error_claims(found, reading, source) for reading in READINGS}
     figures = [
         error_figure(found, reading, f"{source}; {CALLED[reading]}", layout.unit, f"4.4-{_file(source)}-{reading}")
-        for reading in READINGS
+        for reading in FIGURES
     ]
     notes = [*_notes(_of_kind(pairs, "baseline"), layout, source), _which(claims, source)]
     return Findings(tuple(claims["printed"]), tuple(figures), (_table(found, source, layout.unit),), tuple(notes))
