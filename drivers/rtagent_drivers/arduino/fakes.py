@@ -5,16 +5,17 @@ Both take the driver's settings, and obey its limits by its own code.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
 from rtagent.device import LastResort
-from rtagent.experience import Command, Stimulus, Values
+from rtagent.experience import Command, FloatArray, Stimulus, Values
 from rtagent.saving import Saved, restore_parts, save_parts
-from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
+from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body, Scanning, Times
 from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
@@ -48,6 +49,12 @@ class BoardWorld:
         channels = zip(self._settings.inputs.items(), self._settings.pins, strict=True)
         return {name: value(channel, pin, self._body.reading(pin, time)) for (name, channel), pin in channels}
 
+    def columns(self, times: Times) -> Mapping[str, FloatArray]:
+        """Return what the channels read at these times (ns), shape (n,)."""
+        read = self._readings(times)
+        channels = zip(self._settings.inputs.items(), self._settings.pins, strict=True)
+        return {name: value(channel, pin, read[pin]).astype(np.float64) for (name, channel), pin in channels}
+
     def command(self, now: int, command: Command) -> Command:
         """Send servos on their way; return where they go."""
         for name, goal in command.items():
@@ -77,6 +84,12 @@ class BoardWorld:
         """Take what `save` returned, when it has begun."""
         self._body.restore(saved["body"])
         restore_parts(self._ramps, saved["ramps"])
+
+    def _readings(self, times: Times) -> Mapping[str, Times]:
+        pins, nothing = self._settings.pins, np.zeros(len(times), np.int64)
+        if isinstance(self._body, Scanning):
+            return dict.fromkeys(pins, nothing) | dict(self._body.scan(times))
+        return {pin: np.array([self._body.reading(pin, time) for time in times.tolist()]) for pin in pins}
 
     def _turn(self, now: int, name: str, goal: float) -> None:
         servo = self._servos[name]
