@@ -214,7 +214,7 @@ class FakeDevice:
         return None if change is None else change + self._sampling.delay
 
     def foretold(self, rng: Generator, length: int) -> tuple[NDArray[np.int64], Mapping[str, FloatArray]]:
-        """Return all samples that arrive in an episode of `length` (ns) that begins at 0: when each arrives, the values.
+        """Return all samples of an episode of `length` (ns) that begins at 0: when each arrives, and the values.
 
         They are those that `read` would give, all at once; raises `SpecError` where faults or jitter are set, or
         there is no rate.
@@ -228,7 +228,8 @@ class FakeDevice:
         if isinstance(self.world, Columnar):
             return taken + sampling.delay, self.world.columns(taken)
         rows = [self.world.values(time) for time in taken.tolist()]
-        return taken + sampling.delay, {name: np.array([row[name] for row in rows], float) for name in self.spec.sensors}
+        values = {name: np.array([row[name] for row in rows], float) for name in self.spec.sensors}
+        return taken + sampling.delay, values
 
     @property
     def notes(self) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""What true online TD(λ), or another learner, predicts of a stream: learned from its first part, tested on the rest."""
+"""What learners predict of a stream: learned from its first part, tested on the rest."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ class Learner(Protocol):
 
 
 def tested(
-    coder: Coder, states: FloatArray, learners: Mapping[str, Learner], rewards: Mapping[str, FloatArray], trained: int
+    coder: Coder,
+    states: FloatArray,
+    learners: Mapping[str, Learner],
+    rewards: Mapping[str, FloatArray],
+    trained: int,
 ) -> dict[str, FloatArray]:
     """Let learners learn the first `trained` transitions; return what each predicts of all later states.
 

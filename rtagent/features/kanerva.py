@@ -62,7 +62,7 @@ class SelectiveKanerva:
         return self._encode(state)
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
-        """Return what `encode` would of successive states, shape (n, signals): indices and values, shape (n, active).
+        """Return what `encode` would of states, shape (n, signals): indices and values, shape (n, active).
 
         Values are None where all are 1. Raises `SpecError` as `encode` does, for the first state that is wrong.
         """

@@ -47,7 +47,7 @@ class Selector(Protocol):
         """Return the features of `state`, set by set and, in each, layer by layer."""
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
-        """Return the features of successive states, a row each: their indices, and their values where they have any."""
+        """Return the features of successive states, a row each: their indices, and their values if any."""
 
 
 def selector(cube: UnitCube, selection: Selection) -> Selector:
@@ -127,7 +127,6 @@ class CompiledSelector:
         if wrong >= 0:
             raise self._cube.refusal(state)
         return vector((indices, values if self._proximity else None))
-
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
         """Return the features of successive states, a row each."""

@@ -285,7 +285,8 @@ def nearest(
 
 
 @kernel(
-    "i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], f8[:, ::1])"
+    "i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8[::1], f8[:, ::1], "
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1])"
 )
 def nearest_to_each(
     ranges: Doubles, clips: Places, rows: Doubles, columns: Singles, places: Places, plan: Places, memory: Doubles,

@@ -13,7 +13,6 @@ from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.returns import PredictionErrors
 from rtagent.saving import Saved
 
-
 DIVERGED = "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"
 
 

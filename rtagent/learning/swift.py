@@ -69,10 +69,10 @@ class Swift(Protocol):
     def follow(
         self, coded: IndexArray, rewards: FloatArray, gamma: float, decay: float, estimate: float
     ) -> tuple[FloatArray, float]:
-        """Do `step` from each row of binary features, shape (n + 1, active), to the next; return values and estimate.
+        """Do `step` from each row of binary features, shape (n + 1, active), to the next.
 
-        The values are those of all but the last, shape (n,), each before its step; NaN from where learning diverges,
-        and so is then the estimate.
+        Return the values of all but the last, shape (n,), each before its step, and the estimate: NaN, from where
+        learning diverges.
         """
 
     def restored(self) -> None:

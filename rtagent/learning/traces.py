@@ -73,10 +73,10 @@ class Traces(Protocol):
     def follow(
         self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
     ) -> tuple[FloatArray, float]:
-        """Do `dutch` from each row of binary features, shape (n + 1, active), to the next; return values and estimate.
+        """Do `dutch` from each row of binary features, shape (n + 1, active), to the next.
 
-        The values are those of all but the last, shape (n,), each before its step; NaN from where learning diverges,
-        and so is then the estimate.
+        Return the values of all but the last, shape (n,), each before its step, and the estimate: NaN, from where
+        learning diverges.
         """
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""What may be on a board's pins: a hand whose joints follow its servos, or hand and glove of the grasping experiment.
+"""What may be on a board's pins: a hand that follows its servos, or hand and glove of the grasping experiment.
 
 All is a function of time; nothing asks what time it is. Readings are those of an AVR's converter, 0 to 1023.
 """
@@ -123,7 +123,7 @@ class Digit:
 
 
 class Hand:
-    """A hand whose six digits follow their servos, and in which something lies now and then; so its button is pressed."""
+    """A hand whose six digits follow their servos; now and then something lies in it, or its button is pressed."""
 
     def __init__(self) -> None:
         self.begin(0, np.random.default_rng(0))

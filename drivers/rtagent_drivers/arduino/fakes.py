@@ -20,6 +20,7 @@ from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
 from rtagent_drivers.emulation.starting import Emulation
+from rtagent_drivers.emulation.world_time import began_on_the_wire
 from rtagent_drivers.fake import LimitedFake, Sampling
 
 EMULATOR = "rtagent_drivers.arduino.emulated.pty"
@@ -148,7 +149,7 @@ def on_wire(**given: Any) -> Arduino:
 def _arguments(settings: Settings) -> list[str]:
     told = ["glovi" if settings.body == "glove" else "handi", "--body", settings.body]
     told += ["--format", settings.format, "--rate", f"{settings.hertz!r}Hz", "--baud", f"{settings.bits}baud"]
-    told += ["--drift", repr(settings.fake.drift)]
+    told += ["--drift", repr(settings.fake.drift), "--since", str(began_on_the_wire())]
     if not settings.layout.legacy:
         servos = ",".join(str(servo.pin) for servo in settings.servos.values())
         told += ["--channels", ",".join(settings.pins), "--servos", servos]

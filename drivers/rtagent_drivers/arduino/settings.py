@@ -112,9 +112,9 @@ class FakeSettings:
     """How the driver's fakes behave.
 
     `body` is what is on the pins: a hand whose joints follow its servos, or, of the grasping experiment, the hand
-    that is grasping by itself, or the glove (without it: a hand where there are servos, else a glove). `faults` are those of a fake in
-    the process, `wire` those of an emulated board (see `rtagent emulate`), each as JSON; `drift` says by how much
-    the emulated clock is fast.
+    that is grasping by itself, or the glove (without it: a hand where there are servos, else a glove). `faults` are
+    those of a fake in the process, `wire` those of an emulated board (see `rtagent emulate`), each as JSON; `drift`
+    says by how much the emulated clock is fast.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS

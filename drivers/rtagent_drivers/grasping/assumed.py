@@ -1,6 +1,6 @@
 """What the thesis does not say of its grasping experiment, assumed: each number with its reason.
 
-They are what such devices and people do, fixed before anything was learned from them. `docs/grasping.md` lists them.
+They are what such devices and people do, and were fixed before anything was learned from them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ JOINTS = {
     "D4P": Joint(0.08, 0.46, 0.54),
     "D5P": Joint(0.08, 0.55, 0.55),
 }
-"""The text names those that tell shapes apart (index intermediate, ring proximal), that do not move, and that drift."""
+"""The text names those that tell shapes apart (D2I and D4P), one that does not move, and one that drifts."""
 
 # The experimenter's hand
 NEUTRAL, DOWN = 0.08, 0.85
@@ -77,7 +77,7 @@ WIDTH = 0.2
 WIDER, NARROWER = 0.25, 0.15
 """The widths of a cylinder, and of the two halves of a stepped one: both cover the same part of the picture."""
 SIZE_SPREAD = 0.03
-"""Standard deviation of an object's width from trial to trial, as it is not turned in to the same place each time."""
+"""Standard deviation of an object's width from trial to trial: it is not turned in to the same place each time."""
 THUMB_OPEN, THUMB_ON_CYLINDER, THUMB_ON_STEP = 1 / 6, 0.11, 0.09
 """How far the thumb reaches into the picture; on a step "further out of the frame" than on a cylinder."""
 THUMB_TOP, THUMB_BOTTOM = 1 / 3, 2 / 3

@@ -42,7 +42,7 @@ class Grasp:
 
 
 def _held(since: Times, first: float, last: float) -> FloatArray:
-    """Return how far what moves from a part of the closing to another has gone; it goes back the other way round."""
+    """Return how far what moves from one part of the closing to another has gone; it opens in reverse."""
     takes = (last - first) * assumed.CLOSING
     closes = share(since, CLOSES + round(first * assumed.CLOSING), takes)
     return closes - share(since, RELEASES + round((1.0 - last) * assumed.CLOSING), takes)

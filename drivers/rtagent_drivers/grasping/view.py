@@ -46,13 +46,12 @@ class View:
         takes = assumed.TURNING
         inside = share(since, self._session.enters[trial], takes) - share(since, self._session.leaves[trial], takes)
         end = assumed.LENGTH * inside
-        middle = np.maximum(0.0, end - assumed.LENGTH / 2)
-        nothing = np.zeros(len(times))
-        yield self._part(nothing, middle, 0.5 - self._widths[0, trial] / 2, 0.5 + self._widths[0, trial] / 2, colour)
-        yield self._part(middle, end, 0.5 - self._widths[1, trial] / 2, 0.5 + self._widths[1, trial] / 2, colour)
+        middle, nothing = np.maximum(0.0, end - assumed.LENGTH / 2), np.zeros(len(times))
+        for top, bottom, width in ((nothing, middle, self._widths[0]), (middle, end, self._widths[1])):
+            yield self._part((top, bottom), (0.5 - width[trial] / 2, 0.5 + width[trial] / 2), colour)
         thumb = _bytes(np.array(assumed.THUMB) * light)
-        top, bottom = nothing + assumed.THUMB_TOP, nothing + assumed.THUMB_BOTTOM
-        yield self._part(top, bottom, nothing, self._thumb(trial, since), thumb)
+        rows = nothing + assumed.THUMB_TOP, nothing + assumed.THUMB_BOTTOM
+        yield self._part(rows, (nothing, self._thumb(trial, since)), thumb)
 
     def means(self, times: Times) -> FloatArray:
         """Return the mean red, green and blue of the pictures, shape (3, n), 0 to 1."""
@@ -71,11 +70,13 @@ class View:
         reach: FloatArray = assumed.THUMB_OPEN + (closed - assumed.THUMB_OPEN) * grasps
         return reach
 
-    def _part(self, top: FloatArray, bottom: FloatArray, left: FloatArray, right: FloatArray, colour: Pixels) -> Part:
+    def _part(
+        self, rows: tuple[FloatArray, FloatArray], columns: tuple[FloatArray, FloatArray], colour: Pixels
+    ) -> Part:
         """Return a part from its sides as fractions of the picture's; those across fall between pairs of pixels."""
-        rows = [np.rint(each * self._height).astype(np.int64) for each in (top, bottom)]
-        pairs = [2 * np.rint(each * self._width / 2).astype(np.int64) for each in (left, right)]
-        return Part(rows[0], rows[1], pairs[0], pairs[1], colour)
+        top, bottom = (np.rint(each * self._height).astype(np.int64) for each in rows)
+        left, right = (2 * np.rint(each * self._width / 2).astype(np.int64) for each in columns)
+        return Part(top, bottom, left, right, colour)
 
 
 def _bytes(colours: FloatArray) -> Pixels:

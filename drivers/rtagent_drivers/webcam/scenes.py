@@ -13,17 +13,22 @@ from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec
 from rtagent.streams import shared
 from rtagent.units import second
+from rtagent_drivers.emulation.world_time import began_on_the_wire
 from rtagent_drivers.grasping.assumed import WALL
 from rtagent_drivers.grasping.session import EXPERIMENT, Session, Times
 from rtagent_drivers.grasping.view import View
 from rtagent_drivers.webcam.features import COLOURS, Features
 from rtagent_drivers.webcam.pictures import RGB, YUYV, Layout, Pixels, picture_of
 
+
 class Clip(Protocol):
     """Frames, taken at their own times (ns since the clip began)."""
 
     rate: float
     """In Hz."""
+
+    def begin(self, now: int) -> None:
+        """Take note of when the clip begins, by the monotonic clock."""
 
     def taken(self, number: int) -> int:
         """Return when frame `number` was taken."""
@@ -62,10 +67,14 @@ class Scene:
 
 
 class SceneClip:
-    """A scene as a camera films it."""
+    """A scene as a camera films it, which began with the world of all that is emulated."""
 
     def __init__(self, scene: Scene, rate: float) -> None:
-        self._scene, self.rate = scene, rate
+        self._scene, self.rate, self._lead = scene, rate, 0
+
+    def begin(self, now: int) -> None:
+        """Begin in the midst of the scene."""
+        self._lead = now - began_on_the_wire()
 
     def taken(self, number: int) -> int:
         """Return when frame `number` was taken."""
@@ -73,11 +82,11 @@ class SceneClip:
 
     def pixels(self, number: int) -> Pixels:
         """Return frame `number`: shape (height, width, 3), RGB."""
-        return self._scene.pixels(self.taken(number))
+        return self._scene.pixels(self._lead + self.taken(number))
 
     def yuyv(self, number: int) -> Pixels:
         """Return frame `number`: shape (height, 2 · width)."""
-        groups = self._scene.pixels(self.taken(number), YUYV)
+        groups = self._scene.pixels(self._lead + self.taken(number), YUYV)
         return groups.reshape(len(groups), -1)
 
 
