@@ -15,13 +15,14 @@ from numpy.random import Generator
 from rtagent.device import LastResort
 from rtagent.experience import Command, FloatArray, Stimulus, Values
 from rtagent.saving import Saved, restore_parts, save_parts
-from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body, Scanning, Times
+from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body, Scanning
 from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
 from rtagent_drivers.emulation.starting import Emulation
 from rtagent_drivers.emulation.world_time import began_on_the_wire
 from rtagent_drivers.fake import LimitedFake, Sampling
+from rtagent_drivers.grasping.session import Times
 
 EMULATOR = "rtagent_drivers.arduino.emulated.pty"
 

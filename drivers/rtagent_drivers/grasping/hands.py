@@ -61,7 +61,7 @@ class Gestures:
         self._begin = CLOSES + _after(rng, assumed.ANSWERS_AFTER, assumed.ANSWER_SPREAD, shape)
         self._end = RELEASES + _after(rng, assumed.RETURNS_AFTER, assumed.RETURN_SPREAD, shape)
         spread = np.clip(rng.normal(size=len(session)), -2.5, 2.5)
-        self._takes = assumed.MOVING + assumed.MOVING_SPREAD * spread
+        self._takes: FloatArray = assumed.MOVING + assumed.MOVING_SPREAD * spread
 
     def bends(self, times: Times) -> FloatArray:
         """Return how far each finger is bent, shape (6, n), in the order of `FINGERS`: 0 to 1."""

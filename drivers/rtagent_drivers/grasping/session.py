@@ -101,7 +101,7 @@ def _times(rng: Generator, mean: int, spread: int, count: int) -> Times:
     return mean + np.rint(spread * np.clip(rng.normal(size=count), -2.5, 2.5)).astype(np.int64)
 
 
-def share(since: Times, begins: Times | int, takes: Times | float) -> FloatArray:
+def share(since: Times, begins: Times | int, takes: FloatArray | float) -> FloatArray:
     """Return which part of a movement is done: that of a limb with minimum jerk (Flash and Hogan 1985)."""
     done = np.clip((since - begins) / takes, 0.0, 1.0)
     moved: FloatArray = done**3 * (10.0 - 15.0 * done + 6.0 * done**2)

@@ -118,8 +118,14 @@ class _Servo:
 
     def __init__(self, name: str, model: str) -> None:
         registers = by_name(model).registers
-        self._position, self._velocity = _Counts(registers["present_position"]), _Counts(registers["present_velocity"])
-        self._load, self._temperature = _Counts(registers["present_load"]), _Counts(registers["present_temperature"])
+        self._position, self._velocity = (
+            _Counts(registers["present_position"]),
+            _Counts(registers["present_velocity"]),
+        )
+        self._load, self._temperature = (
+            _Counts(registers["present_load"]),
+            _Counts(registers["present_temperature"]),
+        )
         low, high = RANGES[name]
         self.sensors = {
             f"{name}_position": Spec(unit="rad", low=low, high=high),
