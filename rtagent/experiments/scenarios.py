@@ -1,10 +1,14 @@
-"""Where the scenario files of the experiments are: in the repository, or in the installed package."""
+"""The scenario files of the experiments, in the repository or in the installed package, and running them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from rtagent import clock
 from rtagent.errors import ScenarioError, did_you_mean
+from rtagent.result import Result
+from rtagent.scenario import assemble, load
 
 PACKAGE = Path(__file__).parent.parent
 FOLDERS = (PACKAGE.parent / "scenarios", PACKAGE / "_scenarios")
@@ -18,6 +22,12 @@ def scenario(name: str) -> Path:
         if path.is_file():
             return path
     raise ScenarioError([f"there is no scenario {name!r} in this installation{did_you_mean(name, names())}"])
+
+
+def run_scenario(name: str, overrides: Sequence[str] = ()) -> Result:
+    """Run a scenario, with what `overrides` set (texts key=value), under the clock that it names."""
+    loaded = load(scenario(name), overrides)
+    return clock.run(assemble(loaded).run(), loaded.model.run.clock)
 
 
 def names() -> list[str]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from rtagent.experiments.experiment import Verdict
 
 DRAWN = 2000
 LEVEL = 0.95
@@ -47,6 +49,19 @@ def compared(
     return _between(how(float(statistic(first)), float(statistic(second))), drawn)
 
 
+def pooled(
+    pairs: Sequence[tuple[Sequence[float], Sequence[float]]],
+    how: Callable[[NDArray[np.float64], NDArray[np.float64]], float],
+) -> Interval:
+    """Return how one group is to the other in the mean over several pairs of groups, with its interval."""
+    given = [(np.asarray(first, float), np.asarray(second, float)) for first, second in pairs]
+    rng = np.random.default_rng(0)
+    drawn = [
+        np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)
+    ]
+    return _between(float(np.mean([how(a, b) for a, b in given])), np.array(drawn))
+
+
 def _between(middle: float, drawn: NDArray[np.float64]) -> Interval:
     low, high = np.quantile(drawn, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     return Interval(float(low), middle, float(high))
@@ -58,3 +73,18 @@ def cohens_d(ours: ArrayLike, others: ArrayLike) -> float:
     a, b = len(first) - 1, len(second) - 1
     pooled = np.sqrt((a * first.var(ddof=1) + b * second.var(ddof=1)) / (a + b))
     return float((first.mean() - second.mean()) / pooled)
+
+
+def within(found: Interval, low: float = -np.inf, high: float = np.inf) -> Verdict:
+    """Return whether all of an interval lies from `low` to `high`, or nothing of it; undecided where some does."""
+    if low <= found.low and found.high <= high:
+        return Verdict.REPRODUCED
+    outside = found.high < low or found.low > high
+    return Verdict.NOT_REPRODUCED if outside else Verdict.UNDECIDED
+
+
+def all_of(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the verdict on a claim of which each is a part: reproduced where all are."""
+    given = set(verdicts)
+    order = (Verdict.NOT_REPRODUCED, Verdict.UNDECIDED, Verdict.DIFFERS)
+    return next((verdict for verdict in order if verdict in given), Verdict.REPRODUCED)
