@@ -209,4 +209,4 @@ def test_a_stream_is_written_by_a_command(tmp_path: Path) -> None:
 
 def test_masses_are_those_of_the_servos() -> None:
     assert sum(mass.mass for mass in MASSES) == pytest.approx(3 * MX_28.mass + 0.16)
-    assert dynamics.FOREARM + dynamics.GRIP == pytest.approx(0.351134, abs=1e-6)
+    assert pytest.approx(0.351134, abs=1e-6) == dynamics.FOREARM + dynamics.GRIP

@@ -1,4 +1,4 @@
-"""Streams that are coded and learned many rows at a time: what they are row by row, without Python between the rows."""
+"""Streams that are coded and learned many rows at a time, with no Python between the rows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class CodesEach(Protocol):
     """Codes successive states at once."""
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
-        """Return the indices of the features of each state, shape (n, active), and their values, None where all are 1."""
+        """Return the features of each state: indices, shape (n, active), and values, None where all are 1."""
 
 
 @runtime_checkable
@@ -43,9 +43,9 @@ def follow_chunks(
 ) -> dict[Key, FloatArray]:
     """Return what each learner predicts of each row, shape (rows,), before anything of it is learned.
 
-    `states` has shape (rows, signals), and all learn from the features of `coder`; `cumulants`, shape (rows,) for each
-    learner, are those of the transitions that begin at each row. Learning ends before the transition of row `until`.
-    From where a learner diverges on, its predictions are NaN.
+    `states` has shape (rows, signals), and all learn from the features of `coder`; `cumulants`, shape (rows,) for
+    each learner, are those of the transitions that begin at each row. Learning ends before the transition of row
+    `until`. From where a learner diverges on, its predictions are NaN.
     """
     predictions = {name: np.full(len(states), np.nan) for name in learners}
     going = dict(learners)

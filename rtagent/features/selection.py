@@ -114,7 +114,6 @@ class CompiledSelector:
         remembered[:, module.LISTED], remembered[:, module.GAP] = 0.0, np.inf
         store = cube.ranges(2), cube.clips, selection.prototypes, columns, places, plan, remembered
         self._nearest = partial(module.nearest, *store)
-        self._nearest_to_each = partial(module.nearest_to_each, *store)
 
     def encode(self, state: State) -> FeatureVector:
         """Return the features of `state`, set by set and, in each, layer by layer."""
@@ -130,11 +129,12 @@ class CompiledSelector:
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
         """Return the features of successive states, a row each."""
-        indices = np.empty((len(states), self._active), np.intp)
-        values = np.empty((len(states), self._active if self._proximity else 0))
-        wrong = self._nearest_to_each(np.require(states, np.float64, ["C", "W"]), indices, values)
-        if wrong >= 0:
-            raise self._cube.refusal(states[wrong])
+        rows = np.require(states, np.float64, ["C", "W"])
+        indices = np.empty((len(rows), self._active), np.intp)
+        values = np.empty((len(rows), self._active if self._proximity else 0))
+        for state, chosen, weights in zip(rows, indices, values, strict=True):
+            if self._nearest(state, chosen, weights) >= 0:
+                raise self._cube.refusal(state)
         return indices, values if self._proximity else None
 
 

@@ -284,21 +284,6 @@ def nearest(
     return -1
 
 
-@kernel(
-    "i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8[::1], f8[:, ::1], "
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1])"
-)
-def nearest_to_each(
-    ranges: Doubles, clips: Places, rows: Doubles, columns: Singles, places: Places, plan: Places, memory: Doubles,
-    states: Doubles, chosen: Places, values: Doubles,
-) -> int:  # fmt: skip
-    """Do `nearest` for successive states, a row each; return -1, or the first row in which a signal is wrong."""
-    for k in range(len(states)):
-        if nearest(ranges, clips, rows, columns, places, plan, memory, states[k], chosen[k], values[k]) >= 0:
-            return k
-    return -1
-
-
 @kernel(f"i8(f8[:, ::1], i8[::1], f8[:, ::1], f4[:, ::1], i8[::1], i8, f8, {READ_ONLY}, i8[::1])")
 def within(
     ranges: Doubles, clips: Places, rows: Doubles, columns: Singles, places: Places, metric: int, radius: float,

@@ -176,8 +176,8 @@ class Hand:
 class Part(Protocol):
     """Who takes part in the grasping experiment, with a board."""
 
-    def scan(self, times: Times, since: Times) -> Mapping[str, Times]:
-        """Return what is read at these times, `since` the experiment began, by the names of pins and of fields."""
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what is read at these times since the experiment began, by the names of pins and of fields."""
 
 
 class Modelled:
@@ -203,7 +203,7 @@ class Modelled:
 
     def scan(self, times: Times) -> Mapping[str, Times]:
         """Return what is read at these times (ns), shape (n,), by the names of pins and of fields."""
-        return self._part.scan(times, times - self._began)
+        return self._part.scan(times - self._began)
 
     def save(self) -> Saved:
         """Return nothing: all follows from when and from what it began."""
@@ -219,13 +219,13 @@ class GraspingHand:
     def __init__(self, session: Session) -> None:
         self._session, self._grasp = session, Grasp(session)
 
-    def scan(self, times: Times, since: Times) -> Mapping[str, Times]:
+    def scan(self, times: Times) -> Mapping[str, Times]:
         """Return what its sensors read, as fields of the older sketch and as pins of its Mega."""
-        joints = zip(JOINTS, self._grasp.joints(since), strict=True)
+        joints = zip(JOINTS, self._grasp.joints(times), strict=True)
         found = {field: _reading(_flexed(place), field, times) for field, place in joints}
-        forces = LARGEST_READING * np.outer([1.0, 0.0, 0.0, 0.0, 0.0], self._grasp.thumb_force(since))
+        forces = LARGEST_READING * np.outer([1.0, 0.0, 0.0, 0.0, 0.0], self._grasp.thumb_force(times))
         found |= {f"FSR{n}": _reading(force, f"FSR{n}", times) for n, force in enumerate(forces, start=1)}
-        pressed = self._session.pressed(since).astype(np.int64)
+        pressed = self._session.pressed(times).astype(np.int64)
         pins = {HANDI_PINS[field]: readings for field, readings in found.items()}
         return found | pins | {"M": pressed, HANDI_PINS["M"]: 1 - pressed}
 
@@ -236,9 +236,9 @@ class Glove:
     def __init__(self, session: Session) -> None:
         self._gestures = Gestures(session)
 
-    def scan(self, times: Times, since: Times) -> Mapping[str, Times]:
+    def scan(self, times: Times) -> Mapping[str, Times]:
         """Return what its sensors read."""
-        bends = zip(BENDS, self._gestures.bends(since), strict=True)
+        bends = zip(BENDS, self._gestures.bends(times), strict=True)
         return {pin: _reading(_flexed(bend), pin, times) for pin, bend in bends}
 
 

@@ -65,11 +65,26 @@ class Session:
         self.green = np.array([thing.colour == "green" for thing in THINGS])[self.things]
         self.enters = _times(rng, CLOSES - assumed.ENTERS_BEFORE, assumed.ENTERS_SPREAD, count)
         self.leaves = _times(rng, RELEASES + assumed.LEAVES_AFTER, assumed.LEAVES_SPREAD, count)
-        self.hand_rng, self.glove_rng, self.view_rng = rng.spawn(3)
+        self._seeds = rng.integers(1 << 62, size=3)
 
     def __len__(self) -> int:
         """Return how many trials there are before the first comes again."""
         return len(self.things)
+
+    @property
+    def hand_rng(self) -> Generator:
+        """What is random of the hand that grasps is drawn from it, each time the same."""
+        return np.random.default_rng(self._seeds[0])
+
+    @property
+    def glove_rng(self) -> Generator:
+        """What is random of the hand in the glove is drawn from it."""
+        return np.random.default_rng(self._seeds[1])
+
+    @property
+    def view_rng(self) -> Generator:
+        """What is random of what the camera sees is drawn from it."""
+        return np.random.default_rng(self._seeds[2])
 
     def at(self, times: Times) -> tuple[Numbers, Times]:
         """Return which trial it is at these times, and how long ago (ns) that began."""

@@ -1,4 +1,4 @@
-"""The stream of the grasping experiment: what its three devices sense, merged by their newest samples (thesis, 5.2.1)."""
+"""The stream of the grasping experiment: its three devices, merged by their newest samples (thesis, 5.2.1)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def grasping(*, trials: int = 131, seed: int = 0) -> Stream:
 def merged(devices: Mapping[str, Device], pace: str, length: int, seed: int) -> tuple[Times, dict[str, FloatArray]]:
     """Return the newest values of all devices when each sample of one, `pace`, arrives; from when each has one.
 
-    Raises `SpecError` for a device that is no fake in the process.
+    Raises `SpecError` for a device that is no fake in the process, and for sensors of the same name.
     """
     told = {}
     for name, device in devices.items():
@@ -51,5 +51,7 @@ def merged(devices: Mapping[str, Device], pace: str, length: int, seed: int) -> 
     columns: dict[str, FloatArray] = {}
     for arrivals, values in told.values():
         newest = np.searchsorted(arrivals, times, side="right") - 1
+        if double := columns.keys() & values.keys():
+            raise SpecError(f"two devices sense something called {min(double)!r}: name one otherwise.")
         columns |= {name: column[newest] for name, column in values.items()}
     return times, columns

@@ -12,8 +12,8 @@ EXPERIMENT = Experiment(
     find=findings.find,
     seconds=measuring.seconds,
     models=(
-        "The hand, the glove and the camera are models of one grasping experiment: the course of a trial, the gesture "
-        "table, the numbers of trials, the rates and the image size are the thesis's.",
+        "Hand, glove and camera are models of one grasping experiment: the course of a trial, the gesture table, "
+        "the numbers of trials, the rates and the size of the picture are the thesis's.",
         "Where joints end, how exactly they do, how fast hands move, what is seen of object and thumb, light and "
         "noise are assumed (docs/grasping.md has each number); both shapes cover the same part of the picture.",
         "Not modelled: contact forces beyond the thumb's sensor, fingers that move others along, the camera's "

@@ -23,7 +23,8 @@ def claims_of(errors: Errors, reading: str) -> list[Claim]:
         ours = f"diverged with {', '.join(lost)}"
         return [Claim(f"Learning works with α = 0.01 read as {reading}", "it does", ours, Verdict.NOT_REPRODUCED)]
     return [
-        _better(errors, reading),
+        _better(errors, reading, 0.0),
+        _better(errors, reading, SMALL),
         _ring_effects(errors, reading),
         _ring_median(errors, reading),
         *(_narrower(errors, finger, reading) for finger in FINGERS),
@@ -33,17 +34,18 @@ def claims_of(errors: Errors, reading: str) -> list[Claim]:
     ]
 
 
-def _better(errors: Errors, reading: str) -> Claim:
+def _better(errors: Errors, reading: str, least: float) -> Claim:
+    by = f" by at least a small effect, d = {least}," if least else ""
     return _claim(
-        f"“All” predicts middle and pinky better than each kind of sensors alone (α = 0.01 as {reading})",
-        "a small to medium effect (Cohen's d) against both (figure 5.9)",
+        f"“All” predicts middle and pinky better{by} than each kind of sensors alone (α = 0.01 as {reading})",
+        "better, with a small to medium effect (Cohen's d) against both (figure 5.9)",
         {
             f"{finger} against “{other}”": effect(errors, finger, other)
             for finger in ("middle", "pinky")
             for other in OTHERS
         },
         "d = {}",
-        (SMALL, inf),
+        (least, inf),
     )
 
 
@@ -94,11 +96,13 @@ def _middle_narrowest(errors: Errors, reading: str) -> Claim:
 
 def _before(errors: Errors, reading: str) -> Claim:
     return _claim(
-        f"Before the grasp “{POSITION}”, which knows no colour, errs more for ring and pinky (α = 0.01 as {reading})",
+        f"Before the grasp “{POSITION}”, without colour, errs more for ring and pinky (α = 0.01 as {reading})",
         "a large offset before the onset, which “All” does not have (figure 5.7)",
         {finger: ratio(errors, "before", (POSITION, finger), (ALL, finger)) for finger in ("ring", "pinky")},
         "{} times the error of “All”",
         (1.0, inf),
+        "before the grasp only colour is seen, which tells nothing of ring: it is put down for 31 of 64 green and "
+        "33 of 67 orange objects; shapes that cover different parts of the picture could tell",
     )
 
 
@@ -112,13 +116,20 @@ def _during(errors: Errors, reading: str) -> Claim:
     )
 
 
-def _claim(said: str, theirs: str, found: Mapping[str, Interval], told: str, limits: tuple[float, float]) -> Claim:
-    """Return a claim that all that was found lies between two limits."""
+def _claim(
+    said: str,
+    theirs: str,
+    found: Mapping[str, Interval],
+    told: str,
+    limits: tuple[float, float],
+    why: str = "",
+) -> Claim:
+    """Return a claim that all that was found lies between two limits; `why` is told where not all surely does."""
     verdicts = {name: within(each, *limits) for name, each in found.items()}
     ours = "; ".join(f"{name}: {told.format(each)}" for name, each in found.items())
     other = [f"{name} ({verdict})" for name, verdict in verdicts.items() if verdict != Verdict.REPRODUCED]
-    because = f"not so: {', '.join(other)}" if 0 < len(other) < len(found) else ""
-    return Claim(said, theirs, ours, joined(list(verdicts.values())), because)
+    parts = [f"in part: {', '.join(other)}" if 0 < len(other) < len(found) else "", why if other else ""]
+    return Claim(said, theirs, ours, joined(list(verdicts.values())), "; ".join(filter(None, parts)))
 
 
 def joined(verdicts: list[Verdict]) -> Verdict:

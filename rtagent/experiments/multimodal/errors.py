@@ -35,6 +35,11 @@ def over_seeds(errors: Errors, statistic: Callable[[OfSeed], float]) -> Interval
     return interval([statistic(_of_seed(errors, seed)) for seed in seeds])
 
 
+def number(errors: Errors, name: str, of: tuple[str, str]) -> Interval:
+    """Return a number of one setting and finger."""
+    return over_seeds(errors, lambda each: each(*of, name))
+
+
 def ratio(errors: Errors, name: str, ours: tuple[str, str], others: tuple[str, str]) -> Interval:
     """Return how many times a number of one setting and finger is that of another."""
     return over_seeds(errors, lambda each: each(*ours, name) / each(*others, name))
@@ -53,8 +58,8 @@ def _cohens_d(each: OfSeed, ours: tuple[str, str], others: tuple[str, str]) -> f
 
 
 def _of_seed(errors: Errors, seed: int) -> OfSeed:
-    def number(setting: str, finger: str, name: str) -> float:
+    def named(setting: str, finger: str, name: str) -> float:
         kept: Any = errors[setting, finger][seed]
         return float(kept["quantiles"][len(kept["quantiles"]) // 2] if name == "median" else kept[name])
 
-    return number
+    return named

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 Lines = Mapping[str, Sequence[float]]
+SIZES = {"trial": (7.5, 5.5)}
 EFFECTS = {"small": 0.2, "medium": 0.5}
 """Cohen's names for effects."""
 
@@ -32,12 +33,12 @@ def of_reading(errors: Errors, what: str, number: int) -> list[Figure]:
     """Return the figures of one reading of α, the one of this `number`."""
     trials = {key: several[0]["trial"] for key, several in errors.items() if several[0]}
     captions = {
-        "trial": "A trial of the test with the green cylinder, as figure 5.7: the sensor, its return, the prediction; "
-        "first seed",
-        "errors": "Root squared errors in the test, as figure 5.8, without those beyond 2 standard deviations from their "
-        "mean; all seeds together",
-        "effects": "Cohen's d of the errors of each kind of sensors alone against those of “All”, as figure 5.9, with "
-        "intervals over seeds; positive: “All” errs less",
+        "trial": "A trial of the test with the green cylinder, as figure 5.7: the sensor, its return, the "
+        "prediction; first seed",
+        "errors": "Root squared errors in the test, as figure 5.8, without those beyond 2 standard deviations from "
+        "their mean; all seeds together",
+        "effects": "Cohen's d of the errors of each kind of sensors alone against those of “All”, as figure 5.9, "
+        "with intervals over seeds; positive: “All” errs less",
     }
     draws = {
         "trial": partial(_draw_trial, trials=trials),
@@ -76,7 +77,7 @@ def _draw_trial(canvas: Canvas, trials: Mapping[tuple[str, str], Lines]) -> None
         axes.set_ylabel(f"{finger} (0 to 1)")
     for axes in grid[-1]:
         axes.set_xlabel("time in the trial (s)")
-    grid[0][0].legend(loc="upper left")
+    canvas.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 def _draw_boxes(canvas: Canvas, errors: Errors) -> None:
@@ -108,9 +109,10 @@ def _draw_effects(canvas: Canvas, errors: Errors) -> None:
         series(axes, number, places, [each.middle for each in found], f"“All” against “{other}”", linestyle="none")
     for name, limit in EFFECTS.items():
         axes.axhline(limit, color="0.5", linestyle=":")
-        axes.annotate(f"a {name} effect", (2.5, limit), ha="right", va="bottom")
+        axes.annotate(f"{name} effect", (2.45, limit), ha="right", va="bottom")
     axes.axhline(0.0, color="0.5")
     axes.set_xticks(range(len(FINGERS)), list(FINGERS))
+    axes.set_xlim(-0.5, 2.5)
     axes.set_xlabel("finger")
     axes.set_ylabel("Cohen's d (standard deviations)")
-    axes.legend()
+    axes.legend(loc="lower right", ncols=2)

@@ -8,7 +8,7 @@ from rtagent.experiments.experiment import Cell, Findings, Options, Row, Table
 from rtagent.experiments.grasping import FINGERS, SETTINGS
 from rtagent.experiments.multimodal import figures
 from rtagent.experiments.multimodal.claims import claims_of
-from rtagent.experiments.multimodal.errors import KEPT, Errors, diverged, over_seeds
+from rtagent.experiments.multimodal.errors import KEPT, Errors, diverged, number
 
 
 def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
@@ -16,9 +16,9 @@ def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     by_reading = {reading: _errors(pairs, reading) for reading in pairs[0][1]["readings"]}
     what, (_, shown) = _what(pairs), next(each for each in pairs if each[0]["setting"] == "All")
     drawn = [figures.stream(shown["sample"], what)]
-    for number, (reading, errors) in enumerate(by_reading.items()):
+    for place, (reading, errors) in enumerate(by_reading.items()):
         if not diverged(errors):
-            drawn += figures.of_reading(errors, f"α = 0.01 as {reading}; {what}", number)
+            drawn += figures.of_reading(errors, f"α = 0.01 as {reading}; {what}", place)
     claims = [claim for reading, errors in by_reading.items() for claim in claims_of(errors, reading)]
     return Findings(tuple(claims), tuple(drawn), (_table(by_reading),))
 
@@ -54,4 +54,4 @@ def _table(by_reading: Mapping[str, Errors]) -> Table:
 def _numbers(errors: Errors, setting: str, finger: str) -> list[str]:
     if None in errors[setting, finger]:
         return ["diverged"] * len(KEPT)
-    return [str(over_seeds(errors, lambda each, name=name: each(setting, finger, name))) for name in KEPT]
+    return [str(number(errors, name, (setting, finger))) for name in KEPT]

@@ -37,8 +37,8 @@ class Test:
     def errors(self, finger: str, predicted: FloatArray, shown: bool) -> dict[str, Any] | None:
         """Return what is kept of the root squared errors of predictions, shape (rows,); None where they diverged.
 
-        That is how many they are, their mean, variance and quantiles, their means within `WINDOWS`, and, where it is
-        to be `shown`, what was predicted in a trial.
+        That is how many they are, their mean, variance and quantiles, their means within `WINDOWS`, and, where that
+        is to be `shown`, what was predicted in a trial.
         """
         signal = self._stream.unit(FINGERS[finger])
         truth = returns(signal, self._stream.last, GAMMA)
