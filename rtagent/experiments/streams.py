@@ -63,6 +63,12 @@ class Stream:
         """Return the values of these signals, shape (rows, signals)."""
         return np.stack([self.column(name) for name in names], axis=1)
 
+    def unit(self, name: str) -> FloatArray:
+        """Return a signal as a fraction of its range, shape (rows,); what lies outside is clipped."""
+        low, high = self.ranges[name]
+        unit: FloatArray = np.clip((self.column(name) - low) / (high - low), 0.0, 1.0)
+        return unit
+
     def traced(self, names: Sequence[str], decay: float) -> Stream:
         """Return the stream with a trace of each of these signals beside it, called `NAME_trace`, normalised.
 
@@ -73,10 +79,8 @@ class Stream:
         return replace(self, columns={**self.columns, **traces}, ranges={**self.ranges, **ranges})
 
     def _trace(self, name: str, decay: float) -> FloatArray:
-        low, high = self.ranges[name]
-        unit = np.clip((self.column(name) - low) / (high - low), 0.0, 1.0).tolist()
         total, traced = 0.0, []
-        for value, last in zip(unit, self.last.tolist(), strict=True):
+        for value, last in zip(self.unit(name).tolist(), self.last.tolist(), strict=True):
             total = decay * total + (1.0 - decay) * value
             traced.append(total)
             total = 0.0 if last else total

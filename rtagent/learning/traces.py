@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
 from rtagent import kernels
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.lazy import LazyTraces
 from rtagent.learning.linear import (
     BOUND,
@@ -66,6 +67,18 @@ class Traces(Protocol):
         """Do one step of true online TD(λ) (thesis, Algorithm 1), whose trace holds α; return δ and the next value.
 
         `estimate` is the value that the step before gave to this state, NaN before the first.
+        """
+
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features, shape (n + 1, active), to the next.
+
+        Return the values of all but the last, shape (n,), each before its step, and the estimate: NaN, from where
+        learning diverges.
         """
 
     def reset(self) -> None:
@@ -155,6 +168,23 @@ class DenseTraces:
         self._weights[row, features.indices] += alpha * (before - value) * values
         self._move(row, features, delta, decay)
         return delta, next_value
+
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+        return np.array([self.value(0, FeatureVector(indices)) for indices in coded], dtype=float)
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features to the next; return values and estimate."""
+        values = np.full(len(rewards), math.nan)
+        vectors = [FeatureVector(indices) for indices in coded]
+        for step, ((features, following), reward) in enumerate(zip(pairwise(vectors), rewards, strict=True)):
+            values[step] = self.value(0, features)
+            delta, estimate = self.dutch(0, features, 0, following, float(reward), gamma, estimate, alpha, decay)
+            if not math.isfinite(delta):
+                return values, math.nan
+        return values, estimate
 
     def reset(self) -> None:
         """Set the trace to 0."""
