@@ -32,6 +32,8 @@ SEEDS, QUICK_SEEDS = 40, 3
 QUICKLY = 25
 """Of the stream's 750 rows a second, in haste every so manieth is taken; γ, λ and traces are for the same time."""
 TIMED, SLOWLY_TIMED = 2000, 100
+LEAST_SPREAD, WIDEST = 1e-9, 1000.0
+"""Spreads are not less, nor their ratios more: of few seeds, samples may have each the same."""
 
 
 class Problem(NamedTuple):
@@ -147,16 +149,11 @@ def ratio(ours: FloatArray, others: FloatArray) -> Interval:
     return compared(ours.tolist(), others.tolist(), lambda one, other: one / other)
 
 
-def spread(errors: FloatArray) -> float:
-    """Return the standard deviation over seeds as a part of the mean; NaN where one diverged."""
-    return float(errors.std(ddof=1) / errors.mean()) if np.isfinite(errors).all() else float("nan")
-
-
 def spread_ratio(ours: FloatArray, others: FloatArray) -> Interval:
-    """Return how many times the spread of one group over seeds is that of another, with its interval."""
-    return compared(ours.tolist(), others.tolist(), lambda one, other: one / other, _spread)
+    """Return how many times the standard deviation over seeds, by the mean, is that of others, with its interval."""
+    return compared(ours.tolist(), others.tolist(), lambda one, other: one / max(other, one / WIDEST), _spread)
 
 
 def _spread(errors: FloatArray) -> np.float64:
-    found: np.float64 = np.float64(errors.std(ddof=1) / errors.mean())
+    found: np.float64 = np.float64(max(errors.std(ddof=1) / errors.mean(), LEAST_SPREAD))
     return found
