@@ -26,8 +26,9 @@ from rtagent.learning.traces import WORTH_COMPILING
 from rtagent.specs import Spec
 
 FINGER = FINGERS["ring"]
-READINGS = {"α": False, "α / c": True}
-"""How α = 0.01 is read: as the step size of each weight, or as that of all c active features together."""
+READINGS = {f"α = {ALPHA:g} of each weight": False, f"α = {ALPHA:g} / c": True}
+"""How the step size is read, and whether it is divided by the number c of active features."""
+DIVIDED = list(READINGS)[1]
 SEEDS, QUICK_SEEDS = 40, 3
 QUICKLY = 25
 """Of the stream's 750 rows a second, in haste every so manieth is taken; γ, λ and traces are for the same time."""
@@ -88,10 +89,10 @@ def time_of(cell: Cell) -> Row:
     lesson = Lesson(given.states, given.signal, np.zeros(len(given.signal), np.bool_), given.gamma)
     if not cell["plain"]:
         coder = coder_of(cell, given)
-        return {"step": step_time(lesson, coder, _learner(coder, given, "α / c"), TIMED), "told": given.told}
+        return {"step": step_time(lesson, coder, _learner(coder, given, DIVIDED), TIMED), "told": given.told}
     with kernels.plain():
         coder = coder_of(cell, given)
-        return {"step": step_time(lesson, coder, _learner(coder, given, "α / c"), SLOWLY_TIMED), "told": given.told}
+        return {"step": step_time(lesson, coder, _learner(coder, given, DIVIDED), SLOWLY_TIMED), "told": given.told}
 
 
 def _learner(coder: SelectiveKanerva, given: Problem, reading: str) -> TrueOnlineTD:
@@ -150,7 +151,7 @@ def ratio(ours: FloatArray, others: FloatArray) -> Interval:
 
 
 def spread_ratio(ours: FloatArray, others: FloatArray) -> Interval:
-    """Return how many times the standard deviation over seeds, by the mean, is that of others, with its interval."""
+    """Return how many times the standard deviation over seeds, by the mean, is that of others, and its interval."""
     return compared(ours.tolist(), others.tolist(), lambda one, other: one / max(other, one / WIDEST), _spread)
 
 
