@@ -33,8 +33,6 @@ SEEDS, QUICK_SEEDS = 40, 3
 QUICKLY = 25
 """Of the stream's 750 rows a second, in haste every so manieth is taken; γ, λ and traces are for the same time."""
 TIMED, SLOWLY_TIMED = 2000, 100
-LEAST_SPREAD, WIDEST = 1e-9, 1000.0
-"""Spreads are not less, nor their ratios more: of few seeds, samples may have each the same."""
 
 
 class Problem(NamedTuple):
@@ -152,9 +150,14 @@ def ratio(ours: FloatArray, others: FloatArray) -> Interval:
 
 def spread_ratio(ours: FloatArray, others: FloatArray) -> Interval:
     """Return how many times the standard deviation over seeds, by the mean, is that of others, and its interval."""
-    return compared(ours.tolist(), others.tolist(), lambda one, other: one / max(other, one / WIDEST), _spread)
+    return compared(ours.tolist(), others.tolist(), _times, _spread)
 
 
 def _spread(errors: FloatArray) -> np.float64:
-    found: np.float64 = np.float64(max(errors.std(ddof=1) / errors.mean(), LEAST_SPREAD))
+    found: np.float64 = errors.std(ddof=1) / errors.mean()
     return found
+
+
+def _times(one: float, other: float) -> float:
+    """Return a ratio; of few seeds, a sample may have one of them again and again, and no spread."""
+    return one / other if other else np.inf
