@@ -140,6 +140,9 @@ def test_a_recording_is_a_stream_without_its_glitches(tmp_path: Path) -> None:
     assert stream.ranges["m_position"] == (0.0, 200.0)
     assert stream.column("m_velocity")[[0, 1, 49]] == pytest.approx([0.0, 10.0, 0.0])
     assert stream.column("m_velocity")[10] == pytest.approx(10.0)  # over two intervals
+    ranged = named("recording", file=path, signals={"m_position": (0.0, 200.0), "m_velocity": (-30.0, 30.0)})
+    assert ranged.ranges["m_velocity"] == (-30.0, 30.0)
+    assert stream.ranges["m_velocity"] != (-30.0, 30.0)
     orders = {tuple(named("recording", file=path, shuffle=n).column("m_position")[:2]) for n in range(6)}
     assert orders == {(0.0, 1.0), (100.0, 101.0)}
 

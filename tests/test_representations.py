@@ -1,4 +1,4 @@
-"""Tile coding against selective Kanerva coding: what is compared, what a cell measures, and what follows from rows."""
+"""Tile coding against selective Kanerva coding: what is compared, what a cell measures, what follows from rows."""
 
 from __future__ import annotations
 

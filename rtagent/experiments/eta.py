@@ -85,7 +85,7 @@ def seconds(cell: Cell) -> float:
     if cell["kind"] != "error":
         return 1.0
     active = int(cell["prototypes"]) * float(sum(cell["etas"]))
-    each = 5e-6 + 1e-9 * int(cell["prototypes"]) + 12e-9 * active
+    each = 1.5e-6 + 1e-10 * int(cell["prototypes"]) + 13e-9 * active + 6e-7 * int(cell["sets"])
     return 0.1 + 884e3 / int(cell["every"]) * each
 
 

@@ -29,8 +29,8 @@ FINGER = FINGERS["ring"]
 READINGS = {f"α = {ALPHA:g} of each weight": False, f"α = {ALPHA:g} / c": True}
 """How the step size is read, and whether it is divided by the number c of active features."""
 DIVIDED = list(READINGS)[1]
-SEEDS, QUICK_SEEDS = 40, 3
-QUICKLY = 25
+SEEDS, QUICK_SEEDS = 40, 4
+QUICKLY = 10
 """Of the stream's 750 rows a second, in haste every so manieth is taken; γ, λ and traces are for the same time."""
 TIMED, SLOWLY_TIMED = 2000, 100
 
