@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtagent.experiments import eta, prototype_sets, ring_finger, several_eta, statistics
+from rtagent.experiments import eta, prototype_sets, several_eta, statistics
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Findings, Options, Row, Verdict
-from rtagent.experiments.ring_finger import DIVIDED, READINGS, cell_of, problem
+from rtagent.experiments.ring_finger import problem as learned
+from rtagent.experiments.ring_finger.problem import DIVIDED, READINGS, cell_of, error_of, problem, time_of
 
 TRIALS = 8
 EXPERIMENTS = (eta.EXPERIMENT, prototype_sets.EXPERIMENT, several_eta.EXPERIMENT)
@@ -24,7 +25,7 @@ ErrorOf = Callable[[Cell], float | None]
 def few_trials() -> Iterator[None]:
     """Make the stream that is learned a short one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ring_finger, "TRIALS", TRIALS)
+        patch.setattr(learned, "TRIALS", TRIALS)
         problem.cache_clear()
         yield
         problem.cache_clear()
@@ -53,19 +54,17 @@ def test_in_haste_the_same_is_learned_from_fewer_rows() -> None:
 def test_a_cell_is_measured_and_one_that_diverges_is_told() -> None:
     settings: list[tuple[int, list[float], int]] = [(200, [0.025], 1), (400, [0.03], 4), (100, [0.1, 0.05], 1)]
     for prototypes, etas, sets in settings:
-        row = ring_finger.error_of(json.loads(json.dumps(cell_of(prototypes, etas, 0, 25, sets))))
+        row = error_of(json.loads(json.dumps(cell_of(prototypes, etas, 0, 25, sets))))
         assert row["active"] == round(prototypes * sum(etas))
         assert all(0 < row[reading] < 0.5 for reading in READINGS)
-    wild = ring_finger.error_of(cell_of(12_000, [0.1], 0, 25))
+    wild = error_of(cell_of(12_000, [0.1], 0, 25))
     assert wild[READINGS_EACH] is None
     assert wild[DIVIDED] is not None
 
 
 @pytest.mark.usefixtures("few_trials")
 def test_a_step_of_more_prototypes_takes_longer_in_plain_numpy() -> None:
-    few, many = (
-        ring_finger.time_of(cell_of(size, [0.05], 0, 25, kind="time", plain=True))["step"] for size in (200, 40_000)
-    )
+    few, many = (time_of(cell_of(size, [0.05], 0, 25, kind="time", plain=True))["step"] for size in (200, 40_000))
     assert many > 3 * few > 0
 
 

@@ -11,19 +11,17 @@ import numpy as np
 
 from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row
-from rtagent.experiments.ring_finger import (
-    DIVIDED,
+from rtagent.experiments.ring_finger.errors import Errors, best, errors_of, ratio, spread_ratio
+from rtagent.experiments.ring_finger.figure import error_figure
+from rtagent.experiments.ring_finger.problem import (
+    MODELS,
     QUICK_SEEDS,
     QUICKLY,
     READINGS,
     SEEDS,
-    Errors,
-    best,
     cell_of,
     error_of,
-    errors_of,
-    ratio,
-    spread_ratio,
+    seconds,
     time_of,
 )
 from rtagent.experiments.statistics import Interval, above, all_of, below, interval
@@ -80,23 +78,16 @@ def _nearest(dimensions: int, prototypes: int, seed: int) -> list[float]:
     return nearest
 
 
-def seconds(cell: Cell) -> float:
-    """Estimate how long a cell takes."""
-    if cell["kind"] != "error":
-        return 1.0
-    active = int(cell["prototypes"]) * float(sum(cell["etas"]))
-    each = 1.5e-6 + 1e-10 * int(cell["prototypes"]) + 13e-9 * active + 6e-7 * int(cell["sets"])
-    return 0.1 + 884e3 / int(cell["every"]) * each
-
-
 def find(pairs: Sequence[Pair], options: Options) -> Findings:
     """Return what was found."""
     by_reading = {reading: errors_of(pairs, reading) for reading in READINGS}
     claims = [claim for reading, errors in by_reading.items() for claim in _error_claims(errors, reading)]
     claims += [*_time_claims(pairs), _distance_claim(pairs)]
     told = next(row["told"] for cell, row in pairs if cell["kind"] == "error")
-    seeds = len({cell["seed"] for cell, _ in pairs if cell["kind"] == "error"})
-    figures = [_error_figure(errors, reading, seeds, told) for reading, errors in by_reading.items()]
+    figures = [
+        error_figure("6.1", errors, reading, told, lambda setting: f"{setting.prototypes:,} prototypes")
+        for reading, errors in by_reading.items()
+    ]
     return Findings(tuple(claims), (*figures, _distance_figure(pairs)), (), (f"Learned is {told}.",))
 
 
@@ -185,25 +176,6 @@ def _distance_claim(pairs: Sequence[Pair]) -> Claim:
     )
 
 
-def _error_figure(errors: Errors, reading: str, seeds: int, told: str) -> Figure:
-    caption = (
-        f"Figure 6.1 ({reading}): mean squared error over the last fifth of {told}, by η and "
-        f"prototypes; mean over {seeds} seeds with its 95 % interval. What diverged is left out."
-    )
-    return Figure(f"6.1-{'divided' if reading == DIVIDED else 'each'}", caption, partial(_draw_errors, errors))
-
-
-def _draw_errors(errors: Errors, canvas: Canvas) -> None:
-    axes = canvas.subplots()
-    for number, size in enumerate(sorted({setting.prototypes for setting in errors})):
-        own = sorted(each for each in errors if each.prototypes == size and np.isfinite(errors[each]).all())
-        ends = [interval(errors[each]) for each in own]
-        x, low, high = [each.etas[0] for each in own], [each.low for each in ends], [each.high for each in ends]
-        style.series(axes, number, x, [each.middle for each in ends], f"{size:,} prototypes", low=low, high=high)
-    axes.set(xscale="log", yscale="log", xlabel="η", ylabel="mean squared error (of the range, squared)")
-    axes.legend()
-
-
 def _distance_figure(pairs: Sequence[Pair]) -> Figure:
     caption = (
         f"Figure 6.2: distance from {POINTS} random points of the unit cube to their nearest prototypes, in "
@@ -233,5 +205,5 @@ EXPERIMENT = Experiment(
     measure=measure,
     find=find,
     seconds=seconds,
-    models=("Learned is the simulated grasping experiment of chapter 5: see there (multimodal) what it models.",),
+    models=MODELS,
 )

@@ -10,22 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtagent.experiments import style
-from rtagent.experiments.eta import ETAS, seconds
+from rtagent.experiments.eta import ETAS
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Verdict
-from rtagent.experiments.ring_finger import (
-    DIVIDED,
+from rtagent.experiments.ring_finger.errors import Errors, Setting, best, errors_of, ratio, spread_ratio
+from rtagent.experiments.ring_finger.figure import error_figure
+from rtagent.experiments.ring_finger.problem import (
+    MODELS,
     QUICK_SEEDS,
     QUICKLY,
     READINGS,
     SEEDS,
-    Errors,
-    Setting,
-    best,
     cell_of,
     error_of,
-    errors_of,
-    ratio,
-    spread_ratio,
+    seconds,
     time_of,
 )
 from rtagent.experiments.statistics import Interval, above, all_of, compared, interval, within
@@ -74,7 +71,10 @@ def find(pairs: Sequence[Pair], options: Options) -> Findings:
     claims = [claim for form, found in steps.items() for claim in _time_claims(found, form)]
     claims += [claim for reading, errors in by_reading.items() for claim in _error_claims(errors, reading)]
     told = next(row["told"] for cell, row in pairs if cell["kind"] == "error")
-    figures = [_error_figure(errors, reading, told) for reading, errors in by_reading.items()]
+    figures = [
+        error_figure("6.5", errors, reading, told, lambda setting: f"{setting.sets} × {TOTAL // setting.sets:,}")
+        for reading, errors in by_reading.items()
+    ]
     return Findings(tuple(claims), (_time_figure(steps), *figures), (), (f"Learned is {told}.",))
 
 
@@ -162,27 +162,6 @@ def _draw_times(steps: Mapping[str, Steps], canvas: Canvas) -> None:
         axes.xaxis.set_minor_formatter("")
 
 
-def _error_figure(errors: Errors, reading: str, told: str) -> Figure:
-    seeds = len(next(iter(errors.values())))
-    caption = (
-        f"Figure 6.5 ({reading}): mean squared error over the last fifth of {told}, by η, of {TOTAL:,} "
-        f"prototypes in sets; mean over {seeds} seeds with its 95 % interval. What diverged is left out."
-    )
-    return Figure(f"6.5-{'divided' if reading == DIVIDED else 'each'}", caption, partial(_draw_errors, errors))
-
-
-def _draw_errors(errors: Errors, canvas: Canvas) -> None:
-    axes = canvas.subplots()
-    for number, sets in enumerate(sorted({setting.sets for setting in errors})):
-        own = sorted(each for each in errors if each.sets == sets and np.isfinite(errors[each]).all())
-        ends = [interval(errors[each]) for each in own]
-        x, low, high = [each.etas[0] for each in own], [each.low for each in ends], [each.high for each in ends]
-        label = f"{sets} × {TOTAL // sets:,}"
-        style.series(axes, number, x, [each.middle for each in ends], label, low=low, high=high)
-    axes.set(xscale="log", yscale="log", xlabel="η", ylabel="mean squared error (of the range, squared)")
-    axes.legend()
-
-
 EXPERIMENT = Experiment(
     name="prototype-sets",
     title="Several sets of prototypes",
@@ -191,8 +170,5 @@ EXPERIMENT = Experiment(
     measure=measure,
     find=find,
     seconds=seconds,
-    models=(
-        "Learned is the simulated grasping experiment of chapter 5: see there (multimodal) what it models.",
-        "Sets are of equal size; the thesis has unequal ones too.",
-    ),
+    models=(*MODELS, "Sets are of equal size; the thesis has unequal ones too."),
 )

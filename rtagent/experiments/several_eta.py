@@ -10,21 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtagent.experiments import style
-from rtagent.experiments.eta import ETAS, seconds
+from rtagent.experiments.eta import ETAS
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Verdict
-from rtagent.experiments.ring_finger import (
+from rtagent.experiments.ring_finger.errors import Errors, Setting, best, errors_of, ratio, spread_ratio
+from rtagent.experiments.ring_finger.problem import (
+    MODELS,
     QUICK_SEEDS,
     QUICKLY,
     READINGS,
     SEEDS,
-    Errors,
-    Setting,
-    best,
     cell_of,
     error_of,
-    errors_of,
-    ratio,
-    spread_ratio,
+    seconds,
 )
 from rtagent.experiments.statistics import Interval, above, below, within
 
@@ -125,8 +122,8 @@ def _figure(by_reading: dict[str, dict[Setting, np.ndarray]], told: str) -> Figu
     seeds = len(next(iter(next(iter(by_reading.values())).values())))
     caption = (
         f"Figure 6.7: mean squared error over the last fifth of {told}, of the best η for 500, 4,000 and 8,000 "
-        f"prototypes, 4,000 with the best two η and 500 with the best 16; boxes over {seeds} seeds, α read both ways. "
-        "What diverged is left out."
+        f"prototypes, 4,000 with the best two η and 500 with the best 16; boxes over {seeds} seeds, α read both "
+        "ways. What diverged is left out."
     )
     return Figure("6.7", caption, partial(_draw, by_reading), (7.5, 4.0))
 
@@ -156,5 +153,5 @@ EXPERIMENT = Experiment(
     measure=measure,
     find=find,
     seconds=seconds,
-    models=("Learned is the simulated grasping experiment of chapter 5: see there (multimodal) what it models.",),
+    models=MODELS,
 )
