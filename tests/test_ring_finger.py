@@ -16,7 +16,7 @@ from rtagent.experiments.ring_finger.problem import DIVIDED, READINGS, cell_of, 
 
 TRIALS = 8
 EXPERIMENTS = (eta.EXPERIMENT, prototype_sets.EXPERIMENT, several_eta.EXPERIMENT)
-SEEDS = 6
+SEEDS = 5
 READINGS_EACH = next(iter(READINGS))
 ErrorOf = Callable[[Cell], float | None]
 
@@ -37,6 +37,7 @@ def fewer_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(statistics, "DRAWN", 200)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_trials")
 def test_in_haste_the_same_is_learned_from_fewer_rows() -> None:
     whole, quick = problem(1), problem(25)
@@ -62,6 +63,7 @@ def test_a_cell_is_measured_and_one_that_diverges_is_told() -> None:
     assert wild[DIVIDED] is not None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_trials")
 def test_a_step_of_more_prototypes_takes_longer_in_plain_numpy() -> None:
     few, many = (time_of(cell_of(size, [0.05], 0, 25, kind="time", plain=True))["step"] for size in (200, 40_000))
@@ -151,6 +153,7 @@ def test_flipped_rows_flip_the_verdict(experiment: Experiment, text: str, error:
     assert {claim.verdict for claim in claims} == {Verdict.NOT_REPRODUCED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 def test_what_diverges_everywhere_is_told_and_drawn(experiment: Experiment) -> None:
     pytest.importorskip("matplotlib")
