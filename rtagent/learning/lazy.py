@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.linear import ALL_ONES, Parts, as_arrays, check_range, parts_saved
 from rtagent.memory import claim
 from rtagent.saving import Saved
@@ -91,6 +91,22 @@ class LazyTraces:
             self._check_range(row, features)
             self._check_range(next_row, following)
         return found
+
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+        found = np.empty(len(coded))
+        self._kernels.each_value(self._cells, self.size, np.require(coded, np.int64, ["C", "W"]), ALL_ONES, found)
+        return found
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features to the next; return values and estimate."""
+        found, rows = np.empty(len(rewards)), np.require(coded, np.int64, ["C", "W"])
+        following = np.require(rewards, np.float64, ["C", "W"])
+        numbers = gamma, estimate, alpha, decay
+        estimate = self._kernels.follow(self._cells, self.size, rows, ALL_ONES, following, *numbers, found)
+        return found, estimate
 
     def reset(self) -> None:
         """Set the trace to 0."""

@@ -13,6 +13,8 @@ from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.returns import PredictionErrors
 from rtagent.saving import Saved
 
+DIVERGED = "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"
+
 
 class Learner(Protocol):
     """Learns from transitions, in the order in which they happened.
@@ -91,4 +93,4 @@ def _what_is_wrong(transition: Transition) -> str:
         if wrong:
             index, value = features.indices[wrong[0]], features.values[wrong[0]]  # type: ignore[index]  # not None
             return f"feature {index} of the {name} is {value}"
-    return "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"
+    return DIVERGED
