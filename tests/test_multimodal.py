@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtagent.experiments import statistics
 from rtagent.experiments.experiment import Cell, Claim, Findings, Options, Row, Verdict
 from rtagent.experiments.grasping import FINGERS, SETTINGS, inputs
 from rtagent.experiments.multimodal import EXPERIMENT
@@ -19,6 +20,12 @@ LINE = {"time": [0.0, 1.0], "signal": [0.0, 1.0], "prediction": [0.0, 0.5], "ret
 SEEDS = 6
 USUAL = {"Color only": 0.10, "Position only": 0.10, "All": 0.07}
 FLIPPED = {"Color only": 0.07, "Position only": 0.07, "All": 0.10}
+
+
+@pytest.fixture(autouse=True)
+def _fewer_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw fewer bootstrap samples: intervals need not be exact here."""
+    monkeypatch.setattr(statistics, "DRAWN", 200)
 
 
 def kept(mean: float, spread: float, seed: int) -> dict[str, Any]:
@@ -161,9 +168,7 @@ def test_a_small_cell_is_measured_found_and_drawn(tmp_path: Any) -> None:
     pytest.importorskip("matplotlib")
     from rtagent.experiments.outcome import draw
 
-    cells = [
-        {"setting": setting, "seed": 0, "trials": 20, "prototypes": 200, "eta": 0.025} for setting in SETTINGS
-    ]
+    cells = [{"setting": setting, "seed": 0, "trials": 20, "prototypes": 200, "eta": 0.025} for setting in SETTINGS]
     measured = [(cell, EXPERIMENT.measure(cell)) for cell in cells]
     findings = EXPERIMENT.find(measured, Options())
     assert len(findings.claims) > 10
