@@ -1,4 +1,4 @@
-"""What is found in errors of multimodal predictions: verdicts follow from the rows, and turn where the rows turn."""
+"""What is found in errors of multimodal predictions: verdicts follow from the rows, and turn with them."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_what_seeds_do_not_agree_on_is_undecided() -> None:
     pairs = [
         (cell, row)
         for one, other in zip(rows(USUAL), rows(FLIPPED), strict=True)
-        for cell, row in [other if one[0]["seed"] % 2 else one]
+        for cell, row in (other if one[0]["seed"] % 2 else one,)
     ]
     findings = EXPERIMENT.find(pairs, Options())
     for said in ("better than each", "better by at least", "During the grasp"):
@@ -118,7 +118,7 @@ def test_a_learner_that_diverged_is_told() -> None:
 
 
 def test_cohens_d_is_that_of_the_errors() -> None:
-    ours, others = np.random.default_rng(1).gamma(2.0, 0.1, (2, 500)) + [[0.0], [0.05]]
+    ours, others = np.random.default_rng(1).gamma(2.0, 0.1, (2, 500)) + np.array([[0.0], [0.05]])
 
     def errors_of(values: Any) -> list[dict[str, Any]]:
         return [{"count": len(values), "mean": values.mean(), "variance": values.var(ddof=1)}]
@@ -157,7 +157,7 @@ def test_inputs_are_signals_and_their_traces() -> None:
 
 def test_a_quick_one_is_smaller_and_every_cell_is_plain() -> None:
     quick, full = (EXPERIMENT.cells(Options(quick=quick)) for quick in (True, False))
-    assert sum(map(EXPERIMENT.seconds, quick)) < 2 * 60
+    assert sum(map(EXPERIMENT.seconds, quick)) < 2 * 60, "on two processors"
     assert len(full) > len(quick)
     assert {cell["setting"] for cell in quick} == set(SETTINGS)
     assert all(cell["prototypes"] == 8000 for cell in full)
