@@ -111,7 +111,9 @@ def _add_reproduce(commands: argparse._SubParsersAction[argparse.ArgumentParser]
 
 def _add_jobs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, metavar="N", help="so many at a time, each in a process of its own")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="on the Dask cluster whose scheduler is at tcp://host:port")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="on the Dask cluster whose scheduler is at tcp://host:port"
+    )
 
 
 def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

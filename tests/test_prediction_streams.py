@@ -87,6 +87,8 @@ def test_an_error_is_that_of_the_rows_whose_return_is_known() -> None:
     assert truth.known.tolist() == [True] * 11 + [False] * 9
     assert part_error(predictions, truth, slice(None)) == pytest.approx(1.0)
     assert part_error(predictions - 1.0, truth, slice(None), power=2) == pytest.approx(4.0)
+    with pytest.raises(SpecError, match="too short"):
+        part_error(predictions, truth, slice(-5, None))
 
 
 def test_traces_are_normalised_and_begin_anew_with_each_session() -> None:

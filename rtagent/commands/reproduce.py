@@ -87,9 +87,7 @@ def _reproduce(
     return 1 if stopped or any(outcome.failures for outcome in outcomes) else 0
 
 
-def _carried_out(
-    experiment: Experiment, options: Options, out: Path, jobs: int, cluster: str | None
-) -> Outcome:
+def _carried_out(experiment: Experiment, options: Options, out: Path, jobs: int, cluster: str | None) -> Outcome:
     measured = 0.0
 
     def measurements(experiment: Experiment, cells: Sequence[Cell]) -> Sequence[Row]:
@@ -125,7 +123,9 @@ def _tell_plan(console: Console, experiments: Sequence[Experiment], options: Opt
         needed = sum(_needed(experiment, options, jobs) for experiment in experiments)
     except Exception:  # an experiment whose cells fail is told when its turn comes
         return
-    console.print(f"{len(experiments)} experiments, {jobs} at a time: about {in_words(needed)}, if nothing is kept yet")
+    console.print(
+        f"{len(experiments)} experiments, {jobs} at a time: about {in_words(needed)}, if nothing is kept yet"
+    )
 
 
 def _list(console: Console, options: Options) -> int:

@@ -48,7 +48,9 @@ def _check(planned: Plan, out: Path, arguments: argparse.Namespace) -> None:
     if planned.guarded and several:
         raise SweepError("these runs move hardware, of which there is one: run them with --jobs 1, or take --fake.")
     if planned.real and several:
-        sys.stderr.write("note: runs under the real clock disturb each other's times: measure them with --jobs 1.\n")
+        sys.stderr.write(
+            "note: runs under the real clock disturb each other's times: measure them with --jobs 1.\n"
+        )
 
 
 def cells_beside(out: Path) -> Path:
@@ -82,7 +84,9 @@ def _write(planned: Plan, rows: Sequence[Row], out: Path) -> None:
     folder.mkdir(exist_ok=True)
     for number, run in enumerate(planned.runs):
         (folder / f"{number:04}.toml").write_text(tomli_w.dumps(run.scenario), encoding="utf-8")
-    write_table(out, [_row(number, run, row) for number, (run, row) in enumerate(zip(planned.runs, rows, strict=True))])
+    write_table(
+        out, [_row(number, run, row) for number, (run, row) in enumerate(zip(planned.runs, rows, strict=True))]
+    )
 
 
 def _row(number: int, run: Run, row: Row) -> Row:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rtagent.errors import RtagentError
@@ -38,7 +38,7 @@ class Outcome:
 
     experiment: Experiment
     cells: Sequence[Cell] = ()
-    findings: Findings = Findings()
+    findings: Findings = field(default_factory=Findings)
     figures: Sequence[Drawn] = ()
     failures: Sequence[Failed] = ()
     seconds: float = 0.0

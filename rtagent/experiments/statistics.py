@@ -32,6 +32,8 @@ def interval(values: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of values, one a seed, with its bootstrap interval (percentiles of 2,000 samples)."""
     given = np.asarray(values, float)
     drawn = np.random.default_rng(0).choice(given, (DRAWN, len(given)))
+    if statistic in (np.mean, np.median):  # they do all samples at once
+        return _between(float(statistic(given)), statistic(drawn, axis=1))
     return _between(float(statistic(given)), np.array([statistic(sample) for sample in drawn]))
 
 
@@ -49,6 +51,11 @@ def compared(
     return _between(how(float(statistic(first)), float(statistic(second))), drawn)
 
 
+def paired(ours: Sequence[float], others: Sequence[float], statistic: Statistic = np.mean) -> Interval:
+    """Return a statistic of the differences, seed by seed, of two groups that met the same worlds."""
+    return interval(np.subtract(ours, others), statistic)
+
+
 def pooled(
     pairs: Sequence[tuple[Sequence[float], Sequence[float]]],
     how: Callable[[NDArray[np.float64], NDArray[np.float64]], float],
@@ -56,9 +63,7 @@ def pooled(
     """Return how one group is to the other in the mean over several pairs of groups, with its interval."""
     given = [(np.asarray(first, float), np.asarray(second, float)) for first, second in pairs]
     rng = np.random.default_rng(0)
-    drawn = [
-        np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)
-    ]
+    drawn = [np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)]
     return _between(float(np.mean([how(a, b) for a, b in given])), np.array(drawn))
 
 
@@ -75,12 +80,24 @@ def cohens_d(ours: ArrayLike, others: ArrayLike) -> float:
     return float((first.mean() - second.mean()) / pooled)
 
 
-def within(found: Interval, low: float = -np.inf, high: float = np.inf) -> Verdict:
+def within(found: Interval, low: float, high: float) -> Verdict:
     """Return whether all of an interval lies from `low` to `high`, or nothing of it; undecided where some does."""
     if low <= found.low and found.high <= high:
         return Verdict.REPRODUCED
     outside = found.high < low or found.low > high
     return Verdict.NOT_REPRODUCED if outside else Verdict.UNDECIDED
+
+
+def above(found: Interval, bound: float = 0.0) -> Verdict:
+    """Return whether all of an interval lies above a bound, or nothing of it; undecided where some does."""
+    if found.low > bound:
+        return Verdict.REPRODUCED
+    return Verdict.NOT_REPRODUCED if found.high <= bound else Verdict.UNDECIDED
+
+
+def below(found: Interval, bound: float = 0.0) -> Verdict:
+    """Return whether all of an interval lies below a bound, or nothing of it; undecided where some does."""
+    return above(Interval(-found.high, -found.middle, -found.low), -bound)
 
 
 def all_of(verdicts: Iterable[Verdict]) -> Verdict:

@@ -1,7 +1,7 @@
 """Streams of signals, and how well their returns are predicted: representation, true online TD(λ), errors.
 
-A stream comes by its name from the plug-ins `rtagent.streams`: anything callable whose keywords are its settings, and
-which returns a `Stream`. Returns are normalised, (1 - γ) Σ γᵏ z(t + k), the present signal included, and so are
+A stream comes by its name from the plug-ins `rtagent.streams`: anything callable whose keywords are its settings,
+and which returns a `Stream`. Returns are normalised, (1 - γ) Σ γᵏ z(t + k), the present signal included, and so are
 the cumulants that learn them.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import nan
 from typing import Any, NamedTuple
 
@@ -26,16 +27,16 @@ from rtagent.specs import Spec
 BoolArray = NDArray[np.bool_]
 UNKNOWN = 1e-3
 """The weight, in a return, of what comes after the end of a session, above which it is not compared."""
-TIMED = 2000
-"""So many rows are timed."""
+TIMED, PARTS = 2000, 10
+"""So many rows are timed, in so many parts."""
 
 
 @dataclass(frozen=True)
 class Stream:
     """Signals over time: `columns` by name, shape (rows,), and the `ranges` (low, high) that normalise them.
 
-    `last`, shape (rows,), says which rows are the last of a session, across whose end nothing is learned; `rate` is in
-    Hz, 0 where rows are not evenly spaced; `told` says what it is, for captions.
+    `last`, shape (rows,), says which rows are the last of a session, across whose end nothing is learned; `rate` is
+    in Hz, 0 where rows are not evenly spaced; `told` says what it is, for captions.
     """
 
     columns: Mapping[str, FloatArray]
@@ -74,7 +75,7 @@ class Stream:
         A trace is T ← decay · T + (1 - decay) · S of the normalised signal, from 0 at the start of each session.
         """
         traces = {f"{name}_trace": self._trace(name, decay) for name in names}
-        ranges = {name: (0.0, 1.0) for name in traces}
+        ranges = dict.fromkeys(traces, (0.0, 1.0))
         return replace(self, columns={**self.columns, **traces}, ranges={**self.ranges, **ranges})
 
     def _trace(self, name: str, decay: float) -> FloatArray:
@@ -99,7 +100,7 @@ def seen_ranges(columns: Mapping[str, FloatArray]) -> dict[str, tuple[float, flo
 
 
 class Returns(NamedTuple):
-    """The return from each row, shape (rows,), and whether it is known: whether what is left of it weighs nothing."""
+    """The return from each row, shape (rows,), and whether it is known: what is left of it weighs nothing."""
 
     values: FloatArray
     known: BoolArray
@@ -166,15 +167,29 @@ def _learned(learner: PredictionLearner, step: Transition) -> bool:
 
 
 def step_time(lesson: Lesson, coder: FeatureCoder, learner: PredictionLearner, rows: int = TIMED) -> float:
-    """Return how long (s) a step takes, encoding and learning, in the mean over the first rows."""
+    """Return how long (s) a step takes, encoding and learning, in the mean over a part of the first rows.
+
+    Of ten parts it is the quickest: other programs may have disturbed the rest.
+    """
     count = min(rows, len(lesson.states))
-    some = Lesson(lesson.states[:count], lesson.signal[:count], lesson.last[:count], lesson.gamma)
+    edges = np.linspace(0, count, PARTS + 1).astype(int)
+    times = [_mean_time(lesson, coder, learner, slice(first, end)) for first, end in pairwise(edges)]
+    return min(times)
+
+
+def _mean_time(lesson: Lesson, coder: FeatureCoder, learner: PredictionLearner, rows: slice) -> float:
+    some = Lesson(lesson.states[rows], lesson.signal[rows], lesson.last[rows], lesson.gamma)
     start = RealClock.now()
     follow(some, coder, [learner])
-    return (RealClock.now() - start) / 1e9 / count
+    return (RealClock.now() - start) / 1e9 / len(some.states)
 
 
 def part_error(predictions: FloatArray, truth: Returns, part: slice, power: int = 1) -> float:
-    """Return the mean of |error|^`power` over the rows of a part whose return is known; NaN after diverging."""
+    """Return the mean of |error|^`power` over the rows of a part whose return is known; NaN after diverging.
+
+    Raises `SpecError` where there are none.
+    """
     errors = np.abs(predictions[part] - truth.values[part])[truth.known[part]]
+    if not errors.size:
+        raise SpecError("the stream is too short: no return is known in the part of it that errors are taken from.")
     return float(np.mean(errors**power))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
     from numpy.typing import ArrayLike
 
-SETTINGS = {
+SETTINGS: Any = {
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -95,7 +95,9 @@ def boxes(
     )  # fmt: skip
     for box in drawn["boxes"]:
         box.set(facecolor=_pale(line.color), edgecolor="black", hatch=line.hatch)
-    axes.bar([positions[0]], [0], width=0, color=_pale(line.color), edgecolor="black", hatch=line.hatch, label=label)
+    axes.bar(
+        [positions[0]], [0], width=0, color=_pale(line.color), edgecolor="black", hatch=line.hatch, label=label
+    )
 
 
 def save(canvas: Canvas, stem: Path) -> tuple[Path, Path]:

@@ -36,6 +36,8 @@ from rtagent.saving import Saved
 
 WORTH_COMPILING = 1000
 """From so many weights on, with more than one active feature, a quicker update is worth loading the compiler."""
+LARGE_TABLE = 20_000
+"""And from so many on with one: where a trace decays, the dense form goes through all of them at every step."""
 
 
 class Traces(Protocol):
@@ -100,7 +102,7 @@ class Traces(Protocol):
 
 def worth_compiling(rows: int, size: int, active: int) -> bool:
     """Whether what is learned is large enough for kernels."""
-    return active > 1 and rows * size >= WORTH_COMPILING
+    return rows * size >= (WORTH_COMPILING if active > 1 else LARGE_TABLE)
 
 
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from rtagent.errors import did_you_mean
 from rtagent.events import Event
@@ -256,15 +256,25 @@ def _lists_by_key(table: Any) -> Any:
     lists: dict[str, Any] = {}
     for key, value in table.items():
         inner = _lists_by_key(value)
-        lists |= {f"{key}.{rest}": each for rest, each in inner.items()} if isinstance(value, dict) else {key: value}
+        lists |= (
+            {f"{key}.{rest}": each for rest, each in inner.items()} if isinstance(value, dict) else {key: value}
+        )
     return lists
+
+
+_LISTS = {"additionalProperties": {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}}
+ListsByKey = Annotated[
+    dict[str, Annotated[list[Any], Field(min_length=1)]],
+    BeforeValidator(_lists_by_key),
+    WithJsonSchema({"type": "object", **_LISTS}),
+]
 
 
 class SweepTable(Table):
     """What `rtagent sweep` runs: every combination of the values of some keys, several times."""
 
     trials: int = Field(1, ge=1, description="each combination so many times, with seeds from run.seed on")
-    over: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], BeforeValidator(_lists_by_key)] = Field(
+    over: ListsByKey = Field(
         default_factory=dict, description="keys of the scenario, each with the list of its values"
     )
 

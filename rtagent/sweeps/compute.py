@@ -57,10 +57,10 @@ def compute(
 ) -> list[Row]:
     """Return what `measure` found of each cell, in their order.
 
-    What the file `store` holds is taken from there, and what is measured is added to it at once, so that a sweep that
-    was killed goes on where it was. `jobs` cells are measured at a time, each in a process of its own, or those of the
-    Dask cluster whose scheduler is at `cluster` ("tcp://host:port") measure them. `finished` hears of each cell
-    that is done, `damaged` of entries of the store that cannot be read, each in a sentence.
+    What the file `store` holds is taken from there, and what is measured is added to it at once, so that a sweep
+    that was killed goes on where it was. `jobs` cells are measured at a time, each in a process of its own, or the
+    workers of the Dask cluster whose scheduler is at `cluster` ("tcp://host:port") measure them. `finished` hears
+    of each cell that is done, `damaged` of entries of the store that cannot be read, each in a sentence.
 
     Raises `MeasuringError` at the end where cells failed, and `SweepError` where it cannot go on; what was measured
     is kept in either case, as it is when it is interrupted.

@@ -68,29 +68,29 @@ def plan(path: str, overrides: Sequence[str], over: Sequence[str], trials: int |
     return Plan(base.name, runs, len(combinations), real, guarded=any(guarded for _, guarded in loaded))
 
 
-def _loaded(
-    path: str, overrides: Sequence[str], combinations: Sequence[Values]
-) -> list[tuple[Scenario, bool]]:
+def _loaded(path: str, overrides: Sequence[str], combinations: Sequence[Values]) -> list[tuple[Scenario, bool]]:
     """Return the scenario of each combination, and whether it moves something real."""
-    loaded, problems = list[tuple[Scenario, bool]](), dict[str, None]()  # a problem of many is told once
+    loaded, problems = list[tuple[Scenario, bool]](), dict[str, str]()  # a problem of many is told once
     for values in combinations:
         texts = [f"{key}={_toml(value)}" for key, value in values.items()]
         try:
             scenario = load(path, [*overrides, *texts])
             guarded = assemble(scenario).guarded
         except ScenarioError as error:
-            problems.update(dict.fromkeys(_as_over(problem, texts) for problem in error.problems))
+            for problem in error.problems:
+                problems.setdefault(problem, _with_values(problem, texts))
         else:
             loaded.append((scenario, guarded))
     if problems:
-        raise ScenarioError(list(problems))
+        raise ScenarioError(list(problems.values()))
     return loaded
 
 
-def _as_over(problem: str, texts: Sequence[str]) -> str:
-    """Name the option that a value came from."""
-    swept = any(problem.startswith(f"--set {text}: ") for text in texts)
-    return problem.replace("--set ", "--over ", 1) if swept else problem
+def _with_values(problem: str, texts: Sequence[str]) -> str:
+    """Name the option that a value came from, or else all of the combination."""
+    if any(problem.startswith(f"--set {text}: ") for text in texts):
+        return problem.replace("--set ", "--over ", 1)
+    return f"{problem.rstrip('.')} (with {', '.join(texts)})." if texts else problem
 
 
 def _runs(scenario: Scenario, values: Values, count: int) -> Iterator[Run]:
@@ -103,7 +103,7 @@ def _runs(scenario: Scenario, values: Values, count: int) -> Iterator[Run]:
 
 
 def _values(text: str) -> list[Any]:
-    """Return a list of values: as TOML has it, else the texts between the commas, each as TOML has it or as it is."""
+    """Return a list as TOML has it, else what stands between the commas, each as TOML has it or as text."""
     try:
         return list(tomllib.loads(f"values = [{text}]")["values"])
     except tomllib.TOMLDecodeError:

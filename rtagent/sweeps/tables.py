@@ -53,10 +53,14 @@ def _write_parquet(path: Path, names: Sequence[str], rows: Rows) -> None:
 def _column(values: list[Any]) -> list[Any]:
     """Return values that have one type: texts, where a swept key takes values of several."""
     kinds = {type(value) for value in values if value is not None} - {int, float}
-    mixed = len(kinds) > 1 or (kinds and any(isinstance(value, int | float) for value in values if type(value) not in kinds))
+    mixed = len(kinds) > 1 or (
+        kinds and any(isinstance(value, int | float) for value in values if type(value) not in kinds)
+    )
     nested = any(isinstance(each, list | dict) for value in values if isinstance(value, list) for each in value)
     if mixed or nested or dict in kinds:
-        return [None if value is None else value if isinstance(value, str) else json.dumps(value) for value in values]
+        return [
+            None if value is None else value if isinstance(value, str) else json.dumps(value) for value in values
+        ]
     return values
 
 
@@ -64,7 +68,9 @@ def _pyarrow() -> Any:
     try:
         import pyarrow
     except ImportError:
-        raise SweepError("Parquet needs the package pyarrow: pip install 'rtagent[sweeps]'; or write .csv.") from None
+        raise SweepError(
+            "Parquet needs the package pyarrow: pip install 'rtagent[sweeps]'; or write .csv."
+        ) from None
     return pyarrow
 
 

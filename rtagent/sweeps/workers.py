@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from rtagent import __version__, clock
@@ -19,13 +20,16 @@ from rtagent.sweeps.store import Cell, Row, plain
 CONNECTING = 10
 """So long (s) a scheduler may take to answer, and its workers to be there."""
 
+WATCHING = 0.5
+"""So often (s) a process looks whether it is still wanted."""
+
 Measure = Callable[[Cell], Row]
 _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What became of the cell at a place: what was found (JSON) in how many seconds; or how it failed, and where."""
+    """What became of the cell at a place: what was found (JSON), in which time (s); or how it failed, and where."""
 
     place: int
     found: str = ""
@@ -61,11 +65,28 @@ def each(measure: Measure, cells: Sequence[tuple[int, Cell]], jobs: int, cluster
         yield from (measured(measure, place, cell) for place, cell in cells)
 
 
+@cache
+def _watch(parent: int) -> None:
+    """End this process when its parent has ended, however: a sweep that was killed leaves nobody behind."""
+
+    def wait() -> None:
+        while os.getppid() == parent:
+            threading.Event().wait(WATCHING)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _watched(parent: int, measure: Measure, place: int, cell: Cell) -> Measured:
+    _watch(parent)
+    return measured(measure, place, cell)
+
+
 def _in_processes(measure: Measure, cells: Sequence[tuple[int, Cell]], jobs: int) -> Iterator[Measured]:
     from joblib import parallel_config
 
     with parallel_config("loky", inner_max_num_threads=1), _killed_told():
-        yield from _parallel(measure, cells, jobs)
+        yield from _parallel(partial(_watched, os.getpid(), measure), cells, jobs)
 
 
 def _on_cluster(measure: Measure, cells: Sequence[tuple[int, Cell]], address: str) -> Iterator[Measured]:
@@ -73,14 +94,13 @@ def _on_cluster(measure: Measure, cells: Sequence[tuple[int, Cell]], address: st
     from joblib import parallel_config
 
     with client, parallel_config("dask", client=client, wait_for_workers_timeout=CONNECTING), _killed_told():
-        yield from _parallel(measure, cells, -1)
+        yield from _parallel(partial(measured, measure, version=__version__), cells, -1)
 
 
-def _parallel(measure: Measure, cells: Sequence[tuple[int, Cell]], jobs: int) -> Iterator[Measured]:
+def _parallel(call: Callable[..., Measured], cells: Sequence[tuple[int, Cell]], jobs: int) -> Iterator[Measured]:
     from joblib import Parallel, delayed
 
-    call = delayed(partial(measured, measure, version=__version__))
-    done = Parallel(jobs, return_as="generator_unordered", batch_size=1)(call(*each) for each in cells)
+    done = Parallel(jobs, return_as="generator_unordered", batch_size=1)(delayed(call)(*each) for each in cells)
     with contextlib.closing(done):
         yield from done
 
@@ -92,7 +112,7 @@ def _killed_told() -> Iterator[None]:
         yield
     except TimeoutError:
         raise SweepError(
-            f"the cluster has had no worker for {CONNECTING} s: start some, such as `dask worker ADDRESS --nthreads 1`."
+            f"the cluster has had no worker for {CONNECTING} s: start some with `dask worker ADDRESS --nthreads 1`."
         ) from None
     except Exception as error:
         if type(error).__name__ not in ("TerminatedWorkerError", "KilledWorker", "BrokenProcessPool"):
@@ -112,7 +132,8 @@ def connected(address: str) -> Any:
     except ImportError:
         raise SweepError("--cluster needs dask and distributed: pip install 'rtagent[sweeps]'.") from None
     try:
-        return Client(address, timeout=CONNECTING, set_as_default=False)
+        connect: Any = Client  # has no types
+        return connect(address, timeout=CONNECTING, set_as_default=False)
     except (OSError, TimeoutError):
         raise SweepError(
             f"--cluster {address}: no Dask scheduler answers there: start one with `dask scheduler`, and workers "

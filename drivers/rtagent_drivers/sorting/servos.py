@@ -22,12 +22,12 @@ SUPPLY = 12.0
 STANDBY = 0.1 * SUPPLY
 """Watts that a servo's electronics take (e-Manual: 100 mA)."""
 STIFFNESS = 32 * 0.158
-"""Duty cycle for each rad that a joint is off its goal: P gain 32 as from the factory, 0.158 as measured by Duclusaud."""
+"""Duty cycle for each rad that a joint is off its goal: the factory's P gain, times what Duclusaud measured."""
 
 AMBIENT = 23.0
 """°C."""
 EXCHANGE = 10.0
-"""W/(m² K) from a small case to still air, by convection and radiation (Incropera and DeWitt, chapters 9 and 13)."""
+"""W/(m² K) from a small case to still air, by convection and radiation (Incropera and DeWitt 2002)."""
 SPECIFIC_HEAT = 900.0
 """J/(kg K): aluminium's, and nearly that of the plastic and steel beside it."""
 SMOOTH = 0.05

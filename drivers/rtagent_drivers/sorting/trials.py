@@ -1,9 +1,10 @@
 """What the arm does in a trial (thesis, section 4.3), and what its servos go through.
 
-It begins at one end of its shoulder's rotation, closes its gripper around an object, lifts its elbow while it turns
-its shoulder towards the place that belongs to the object's weight, lowers its elbow, opens the gripper, and returns.
-The wrist, of which the thesis says nothing, is held; or it keeps the hand level and turns the object as it is lowered.
-Joints move with minimum jerk (Flash and Hogan 1985); speeds, pauses and ends of ways are a little otherwise each time.
+It begins at one end of its shoulder's rotation, closes its gripper around an object, lifts its elbow while it
+turns its shoulder towards the place that belongs to the object's weight, lowers its elbow, opens the gripper, and
+returns. The wrist, of which the thesis says nothing, is held; or it keeps the hand level, and turns the object as
+that is lowered. Joints move with minimum jerk (Flash and Hogan 1985); speeds, pauses and ends of ways are a little
+otherwise each time.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from rtagent.experience import FloatArray
 from rtagent_drivers.sorting.dynamics import torques
 from rtagent_drivers.sorting.servos import MX_28, MX_64, MX_106, STIFFNESS, Drives
+
+BoolArray = NDArray[np.bool_]
 
 JOINTS = ("shoulder", "elbow", "wrist_rotation", "wrist_flexion", "hand")
 SHOULDER, ELBOW, ROTATION, FLEXION, HAND = range(5)
@@ -32,7 +36,7 @@ START, PLACES = 1.2, (0.3, -0.4, -1.1)
 DOWN, UP, REST = -0.5, 0.25, -0.1
 """rad of the elbow at the table and where it carries, and of the wrist's flexion."""
 TURNED, LEVELLED = 0.5, 0.8
-"""rad by which a wrist that is not held turns an object, and how much of the elbow's way its flexion makes up for."""
+"""rad by which a wrist that moves turns an object, and how much of the elbow's way its flexion makes up for."""
 OPEN, WIDTH, SQUEEZE = 0.9, 0.45, 0.05
 """rad of the hand: open, closed around an object, and by how much further it is told to close."""
 BORNE = 0.02
@@ -81,9 +85,10 @@ def trial(place: float, weight: float, before: FloatArray, rng: Generator, *, wr
     moves = list(_moves(place, rng))
     moves += _of_the_wrist(moves) if wrist else ()
     ends = max(move.begins + move.lasts for move in moves) + rng.uniform(0.3, 0.5)
-    goals = _goals(moves, STEP * np.arange(ceil(ends / STEP) + 1))
+    times = np.linspace(0.0, STEP * ceil(ends / STEP), ceil(ends / STEP) + 1)
+    goals = _goals(moves, times)
     gripped = goals[:, HAND] < WIDTH
-    held = weight * gripped * np.clip((goals[:, ELBOW] - DOWN) / BORNE, 0.0, 1.0)
+    held = np.where(gripped, weight * np.clip((goals[:, ELBOW] - DOWN) / BORNE, 0.0, 1.0), 0.0)
     return _gone_through(goals, gripped, held, before)
 
 
@@ -128,7 +133,7 @@ def _goals(moves: Sequence[Move], times: FloatArray) -> FloatArray:
     return goals
 
 
-def _gone_through(goals: FloatArray, gripped: FloatArray, held: FloatArray, before: FloatArray) -> Trial:
+def _gone_through(goals: FloatArray, gripped: BoolArray, held: FloatArray, before: FloatArray) -> Trial:
     """Return what servos do that are told these goals: they lag, and sag, by what their duty takes."""
     ways = goals.copy()
     ways[gripped, HAND] = WIDTH

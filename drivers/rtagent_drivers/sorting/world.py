@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -14,7 +15,7 @@ from rtagent.experience import Command, Stimulus, Values
 from rtagent.saving import Saved
 from rtagent.specs import DeviceSpec, Spec, Value
 from rtagent.units import second
-from rtagent_drivers.arm import noise
+from rtagent_drivers.arm import noise_at
 from rtagent_drivers.dynamixel.control_table import Register
 from rtagent_drivers.dynamixel.models import by_name
 from rtagent_drivers.dynamixel.values import bounds
@@ -40,8 +41,9 @@ FASTEST, HOTTEST = 3.0, 80.0
 class SortingWorld:
     """The arm carries each object so many `trials` times, in an order drawn at random, and then rests.
 
-    `weights` are those of the objects (kg), the lightest first; without `wrist` the wrist is held. A state is a function of time: trials are computed
-    when they are first asked for, each from how warm the one before left the servos.
+    `weights` are those of the objects (kg), the lightest first; without `wrist` the wrist is held. A state is a
+    function of time: trials are computed when they are first asked for, each from how warm the one before left
+    the servos.
     """
 
     def __init__(self, trials: int = 30, weights: Sequence[float] = WEIGHTS, *, wrist: bool = False) -> None:
@@ -76,7 +78,7 @@ class SortingWorld:
         place = len(known.goals) - 1.0 if over else (time - self._starts[number]) / second / STEP
         values: dict[str, Value] = {}
         for joint, (servo, felt) in enumerate(zip(self._servos, _between(known, place), strict=True)):
-            wobble = noise(self._seed, time, joint)[0] * sqrt(3.0) * ENCODER_NOISE
+            wobble = noise_at(self._seed, time, joint)[0] * sqrt(3.0) * ENCODER_NOISE
             values.update(servo.read(*felt, wobble))
         return values | {ENDED: over}
 
@@ -159,9 +161,12 @@ class _Counts:
         return (min(max(count, self._low), self._high) - self._zero) * self._scale
 
 
-def _between(known: Trial, place: float) -> Iterator[tuple[float, ...]]:
+def _between(known: Trial, place: float) -> Iterator[tuple[float, float, float, float]]:
     """Yield goal, position, velocity and temperature of each joint, `place` steps after the trial began."""
     first = min(int(place), len(known.goals) - 2)
     part = place - first
     series = (known.goals, known.positions, known.velocities, known.temperatures)
-    return zip(*((each[first] + part * (each[first + 1] - each[first])).tolist() for each in series), strict=True)
+    at: Iterator[Any] = zip(
+        *((each[first] + part * (each[first + 1] - each[first])).tolist() for each in series), strict=True
+    )
+    return at

@@ -13,8 +13,8 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The agent is a point that moves at a constant speed, without inertia; it knows only whether there is a wall "
-        "on its left. The sizes of the hallway and its speed are ours: the thesis names none.",
+        "The agent is a point that moves at a constant speed, without inertia; it knows only whether there is a "
+        "wall on its left. The sizes of the hallway and its speed are ours: the thesis names none.",
         "The costs of components are constants that are charged to a virtual clock.",
     ),
 )

@@ -12,11 +12,15 @@ from rtagent.schedule import PRESETS
 
 SCHEDULES = tuple(PRESETS)
 DELAYS_MS = (0, 20, 50, 100)
-SEEDS, QUICK_SEEDS = 40, 10
+SEEDS, QUICK_SEEDS, TOGETHER = 40, 10, 10
 EPISODES, LATE = 40, 10
-COSTS = {"observe": "1ms", "choose": "10us", "act": "1ms"}
-SLICE = "1ms"
-"""Of the schedule interruptible: its own of 40 µs takes a hundred times as long to compute, and reacts 1 ms sooner."""
+COSTS = {"observe": "1ms", "choose": "3us", "act": "1ms", "learn": "6us"}
+EPSILON = 0.0
+"""Greedy, as in Experiment 1: who explores at each of 500 choices a second hits walls all the time."""
+OWN_SETTINGS = {
+    "interruptible": ["learn.slice=1ms"],  # its own of 40 µs takes long to compute, and reacts 1 ms sooner
+    "deferred": ['learn.urgent={ signal = "hallway.wall_left", below = 0.5 }'],
+}
 SAME_COST_MS = 10
 """What each component costs where all cost the same (the thesis's t_c)."""
 SYNCHRONOUS, ASYNCHRONOUS, SAME_COSTS = "synchronous", "asynchronous", "same costs"
@@ -24,11 +28,13 @@ SYNCHRONOUS, ASYNCHRONOUS, SAME_COSTS = "synchronous", "asynchronous", "same cos
 
 def cells(options: Options) -> Sequence[Cell]:
     """Return the runs of all schedules, in the world that waits and in the one that does not."""
-    return list(_cells(list(range(1, 1 + (QUICK_SEEDS if options.quick else SEEDS)))))
+    count = QUICK_SEEDS if options.quick else SEEDS
+    parts = [list(range(first, first + TOGETHER)) for first in range(1, count + 1, TOGETHER)]
+    return [cell for seeds in parts for cell in _cells(seeds)]
 
 
 def _cells(seeds: list[int]) -> Iterator[Cell]:
-    common = {"seeds": seeds, "episodes": EPISODES}
+    common = {"seeds": seeds, "episodes": EPISODES, "epsilon": EPSILON}
     for schedule in SCHEDULES:
         yield {"world": SYNCHRONOUS, "schedule": schedule, "costs": {}, "delay_ms": 0, **common}
     for schedule, delay in product(SCHEDULES, DELAYS_MS):
@@ -46,15 +52,15 @@ def measure(cell: Cell) -> Row:
 
 def _settings(cell: Cell, seed: int) -> list[str]:
     costs = [f"costs.{component}={cost}" for component, cost in cell["costs"].items()]
-    slices = [f"learn.slice={SLICE}"] if cell["schedule"] == "interruptible" else []
     return [
         "run.clock=virtual",
         f"run.seed={seed}",
         f"run.episodes={cell['episodes']}",
         f"schedule.preset={cell['schedule']}",
         f"schedule.learn_delay={cell['delay_ms']}ms",
+        f"policy.epsilon={cell['epsilon']}",
         *costs,
-        *slices,
+        *OWN_SETTINGS.get(cell["schedule"], ()),
     ]
 
 
@@ -68,5 +74,6 @@ def _run(result: Result, seed: int) -> Row:
 
 
 def seconds(cell: Cell) -> float:
-    """Estimate how long a cell takes."""
-    return 1.0 * len(cell["seeds"])
+    """Estimate how long a cell takes: the more cycles, the longer."""
+    many = cell["world"] == ASYNCHRONOUS and not cell["delay_ms"]
+    return len(cell["seeds"]) * (0.6 if many else 0.07)

@@ -13,8 +13,8 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The joint turns at a constant velocity, its state is read as of now, and it stops the moment it is told to: "
-        "inertia, and delays of a servo's own, are not modelled.",
+        "The joint turns at a constant velocity, its state is read as of now, and it stops the moment it is told "
+        "to: inertia, and delays of a servo's own, are not modelled.",
         "The costs of components are constants that are charged to a virtual clock: what an operating system adds "
         "is not in them; `rtagent reproduce reaction-time-real` measures under the real clock.",
         "A unit of reward is a second spent in Emergency; the thesis counts microseconds.",

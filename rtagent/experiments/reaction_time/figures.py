@@ -11,13 +11,12 @@ import numpy as np
 from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Figure, Row
 from rtagent.experiments.reaction_time.groups import Groups, delays, medians, reactions, rewards, schedules
-from rtagent.experiments.reaction_time.trials import LATE, Trial
+from rtagent.experiments.reaction_time.trials import LATE, THESIS, Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-THESIS = ("standard", "reactive")
 DELAY = "time that learning takes, for each step (ms)"
 
 
@@ -27,7 +26,7 @@ def figures(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> tuple[Figure, 
     return (
         Figure(
             "reward",
-            f"As figure 3.4: summed reward over the last {LATE} episodes of each trial, by the time that learning takes. "
+            f"As figure 3.4: summed reward over the last {LATE} episodes of each trial, by what learning takes. "
             f"Boxes: quartiles and median; whiskers: all trials. {run}",
             partial(_boxed, groups, THESIS, rewards, f"reward of the last {LATE} episodes (−s in Emergency)"),
         ),
@@ -45,7 +44,7 @@ def figures(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> tuple[Figure, 
 
 
 def _run(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> str:
-    trials = max(map(len, groups.values()))
+    trials = " or ".join(str(count) for count in sorted({len(trials) for trials in groups.values()}))
     cell = pairs[0][0]
     costs = ", ".join(f"{component} {cost}" for component, cost in cell.get("costs", {}).items())
     charged = f"; virtual clock, charged for {costs}" if costs else "; real clock"

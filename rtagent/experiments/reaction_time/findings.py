@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,24 +10,35 @@ from numpy.typing import NDArray
 
 from rtagent.experiments.experiment import Cell, Claim, Findings, Options, Row, Verdict
 from rtagent.experiments.reaction_time.figures import figures
-from rtagent.experiments.reaction_time.groups import Groups, delays, groups_of, medians, rewards
+from rtagent.experiments.reaction_time.groups import Groups, both, delays, groups_of, medians, rewards
 from rtagent.experiments.reaction_time.tables import table
-from rtagent.experiments.statistics import Interval, all_of, compared, interval, pooled, within
+from rtagent.experiments.reaction_time.trials import Trial
+from rtagent.experiments.statistics import (
+    Interval,
+    above,
+    all_of,
+    below,
+    compared,
+    interval,
+    paired,
+    pooled,
+    within,
+)
 
 STANDARD, REACTIVE, INTERRUPTIBLE = "standard", "reactive", "interruptible"
 HALF, ONE, FLAT = (0.4, 0.6), (0.8, 1.2), 0.02
-"""What "approximately half" of a delay and "a full timestep" may be; and by how much of a delay what is flat may grow."""
+"""What "approximately half" of a delay and "a full timestep" may be; and by which part of it what is flat may grow."""
 
 LEAST = 1e-12
 """A deviation of 0 would have no logarithm."""
 
 WHY_NOT_MORE_VARIABLE = (
-    "Emergency begins anywhere within a step of learning, for both orders alike: it moves either reaction by at most "
-    "one delay, and a wait that is longer by the same each time does not vary more."
+    "Emergency begins anywhere within a step of learning, for both orders alike: it moves either reaction by at "
+    "most one delay, and a wait that is longer by the same each time does not vary more."
 )
 DEMONS_NOTE = (
-    "The thesis equates delays of 50, 100, 250 and 500 ms with about 15,000, 45,000, 75,000 and 150,000 demons. At its "
-    "own 3.33 µs a demon they are 15,000, 30,000, 75,000 and 150,000: the second is a slip."
+    "The thesis equates delays of 50, 100, 250 and 500 ms with about 15,000, 45,000, 75,000 and 150,000 demons. At "
+    "its own 3.33 µs a demon they are 15,000, 30,000, 75,000 and 150,000: the second is a slip."
 )
 
 
@@ -41,7 +52,10 @@ def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
 
 def half_the_delay(groups: Groups) -> Iterator[Claim]:
     """Claim: the median reaction of the reactive order is about half the delay."""
-    found = {delay: _scaled(interval(medians(groups[REACTIVE, delay]), np.median), delay) for delay in delays(groups, above=0)}
+    found = {
+        delay: _scaled(interval(medians(groups[REACTIVE, delay]), np.median), delay)
+        for delay in delays(groups, above=0)
+    }
     yield Claim(
         "The median reaction time of Reactive SARSA is about half of the added learning delay.",
         "approximately 0.5 of the delay",
@@ -53,7 +67,7 @@ def half_the_delay(groups: Groups) -> Iterator[Claim]:
 def a_timestep_more(groups: Groups) -> Iterator[Claim]:
     """Claim: the standard order waits for a full timestep more."""
     found = {
-        delay: _scaled(_difference(medians(groups[STANDARD, delay]), medians(groups[REACTIVE, delay]), np.median), delay)
+        delay: _scaled(_later(groups[STANDARD, delay], groups[REACTIVE, delay]), delay)
         for delay in delays(groups, above=0)
     }
     yield Claim(
@@ -66,15 +80,12 @@ def a_timestep_more(groups: Groups) -> Iterator[Claim]:
 
 def quicker(groups: Groups) -> Iterator[Claim]:
     """Claim: the reactive order reacts sooner at every delay, 0 included."""
-    found = {
-        delay: _difference(medians(groups[STANDARD, delay]), medians(groups[REACTIVE, delay]), np.median)
-        for delay in delays(groups)
-    }
+    found = {delay: _later(groups[STANDARD, delay], groups[REACTIVE, delay]) for delay in delays(groups)}
     yield Claim(
         "Reactive SARSA reacts significantly sooner than SARSA at all delays.",
         "for all 5 delays",
-        f"sooner by {_each(found, 'ms')} (medians, ms)",
-        all_of(within(each, low=0.0) for each in found.values()),
+        f"median sooner, in ms, by {_each(found)}",
+        all_of(map(above, found.values())),
     )
 
 
@@ -82,7 +93,7 @@ def falling(groups: Groups) -> Iterator[Claim]:
     """Claim: the more learning takes, the less reward both orders get."""
     for schedule in (STANDARD, REACTIVE):
         steps = {
-            later: _difference(rewards(groups[schedule, later]), rewards(groups[schedule, sooner]))
+            later: paired(rewards(groups[schedule, later]), rewards(groups[schedule, sooner]))
             for sooner, later in pairwise(delays(groups))
         }
         means = ", ".join(f"{np.mean(rewards(groups[schedule, delay])):.3g}" for delay in delays(groups))
@@ -90,7 +101,7 @@ def falling(groups: Groups) -> Iterator[Claim]:
             f"As the delay increases, the reward of {schedule} SARSA decreases.",
             "decreases, delay by delay (figure 3.4)",
             f"{means}; changes {_each(steps)}",
-            all_of(within(each, high=0.0) for each in steps.values()),
+            all_of(map(below, steps.values())),
         )
 
 
@@ -109,7 +120,7 @@ def less_severe(groups: Groups) -> Iterator[Claim]:
         "SARSA performs worse; the impact of the delay on Reactive SARSA is less severe.",
         "less severe",
         f"from {first:g} to {last:g} ms it loses {ratio} of what standard SARSA loses",
-        within(ratio, high=1.0),
+        below(ratio, 1.0),
     )
 
 
@@ -124,7 +135,7 @@ def more_variable(groups: Groups) -> Iterator[Claim]:
         [(rewards(groups[STANDARD, delay]), rewards(groups[REACTIVE, delay])) for delay in over], _log_ratio
     )
     ratio = Interval(*(float(np.exp(each)) for each in (all_delays.low, all_delays.middle, all_delays.high)))
-    verdict = within(ratio, low=1.0)
+    verdict = above(ratio, 1.0)
     yield Claim(
         "SARSA performs with larger variability.",
         "larger variability of the summed reward",
@@ -139,21 +150,19 @@ def flat(groups: Groups) -> Iterator[Claim]:
     if (INTERRUPTIBLE, delays(groups)[0]) not in groups:
         return
     first, last = delays(groups)[0], delays(groups)[-1]
-    growth = _difference(medians(groups[INTERRUPTIBLE, last]), medians(groups[INTERRUPTIBLE, first]), np.median)
-    share = _scaled(growth, last - first)
+    share = _scaled(_later(groups[INTERRUPTIBLE, last], groups[INTERRUPTIBLE, first]), last - first)
     yield Claim(
-        "To interrupt learning for more pressing computations is a subject of future work (3.5); here: reactions of the "
-        "schedule interruptible do not depend on the delay.",
+        "To interrupt learning for more pressing computations is a subject of future work (3.5); here: reactions of "
+        "the schedule interruptible do not depend on the delay.",
         "not tried",
         f"from {first:g} to {last:g} ms of delay the median reaction grows by {share} of it",
         within(share, -FLAT, FLAT),
     )
 
 
-def _difference(
-    ours: Sequence[float], others: Sequence[float], statistic: Callable[[NDArray[np.float64]], np.float64] = np.mean
-) -> Interval:
-    return compared(ours, others, lambda first, second: first - second, statistic)
+def _later(ours: Sequence[Trial], others: Sequence[Trial]) -> Interval:
+    """Return by how much (ms) the median reaction of one group is later than that of the other, seed by seed."""
+    return paired(*both(ours, others), np.median)
 
 
 def _ratio(ours: float, others: float) -> float:
@@ -172,5 +181,5 @@ def _scaled(found: Interval, unit: float) -> Interval:
     return Interval(found.low / unit, found.middle / unit, found.high / unit)
 
 
-def _each(found: dict[float, Interval], unit: str = "") -> str:
+def _each(found: dict[float, Interval]) -> str:
     return "; ".join(f"{each} at {delay:g} ms" for delay, each in found.items())

@@ -43,6 +43,13 @@ def medians(trials: Sequence[Trial]) -> list[float]:
     return [1e3 * float(np.median(trial["reactions_s"])) for trial in trials if trial["reactions_s"]]
 
 
+def both(ours: Sequence[Trial], others: Sequence[Trial]) -> tuple[list[float], list[float]]:
+    """Return the median reactions (ms) of trials with the same seeds, where both have any."""
+    seen = {trial["seed"]: trial for trial in others if trial["reactions_s"]}
+    alike = [(trial, seen[trial["seed"]]) for trial in ours if trial["reactions_s"] and trial["seed"] in seen]
+    return medians([first for first, _ in alike]), medians([second for _, second in alike])
+
+
 def reactions(trials: Sequence[Trial]) -> list[float]:
     """Return all reaction times (ms)."""
     return [1e3 * time for trial in trials for time in trial["reactions_s"]]

@@ -12,33 +12,39 @@ from rtagent.schedule import PRESETS
 
 SCHEDULES = tuple(PRESETS)
 DELAYS_MS = (0, 50, 100, 250, 500)
-TRIALS, QUICK_TRIALS = 30, 10
+THESIS = ("standard", "reactive")
+TRIALS, QUICK_TRIALS, QUICK_TRIALS_OF_OURS = 30, 10, 3
 EPISODES, LATE = 20, 10
 """Of so many episodes, so many last ones count."""
-COSTS = {"observe": "1ms", "choose": "10us", "act": "1ms"}
-"""What the other components take: an exchange with a servo through a USB adapter about a millisecond."""
-
-SLICED = ("interruptible", "background")
-"""They do a thousand times as much in the same time: a look at the world after each slice, a cycle beside a thread."""
+COSTS = {"observe": "1ms", "choose": "3us", "act": "1ms", "learn": "6us"}
+"""What components take beside the delay: an exchange with a servo, through a USB adapter, about a millisecond;
+choosing and learning what they took under the real clock, in the median."""
+TOGETHER = 10
+"""So many trials are a cell, where they are short."""
 
 Trial = Mapping[str, Any]
 
 
 def cells(options: Options) -> Sequence[Cell]:
     """Return each schedule with each delay, some trials to a cell; a trial of each has the same seed."""
-    seeds = range(1, 1 + (QUICK_TRIALS if options.quick else TRIALS))
     return [
-        {"schedule": schedule, "delay_ms": delay, "seeds": list(together), "episodes": EPISODES, "costs": COSTS}
+        {"schedule": schedule, "delay_ms": delay, "seeds": seeds, "episodes": EPISODES, "costs": COSTS}
         for schedule in SCHEDULES
         for delay in DELAYS_MS
-        for together in _together(list(seeds), schedule, delay)
+        for seeds in _together(_trials(schedule, options.quick), schedule, delay)
     ]
 
 
-def _together(seeds: list[int], schedule: str, delay: float) -> list[list[int]]:
-    """Return seeds in parts that are worth a process each: a schedule that does little has them all in one."""
-    size = 1 if schedule in SLICED or not delay else len(seeds)
-    return [seeds[first : first + size] for first in range(0, len(seeds), size)]
+def _trials(schedule: str, quick: bool) -> int:
+    if not quick:
+        return TRIALS
+    return QUICK_TRIALS if schedule in THESIS else QUICK_TRIALS_OF_OURS
+
+
+def _together(trials: int, schedule: str, delay: float) -> list[list[int]]:
+    """Return the seeds of the trials, in parts that are worth a process each."""
+    size = 1 if _trial_seconds(schedule, delay) > 1 else TOGETHER
+    return [list(range(first, min(first + size, trials + 1))) for first in range(1, trials + 1, size)]
 
 
 def measure(cell: Cell) -> Row:
@@ -73,4 +79,11 @@ def trial(result: Result, seed: int) -> Trial:
 
 def seconds(cell: Cell) -> float:
     """Estimate how long a cell takes."""
-    return 1.0 * len(cell["seeds"])
+    return len(cell["seeds"]) * _trial_seconds(cell["schedule"], cell["delay_ms"])
+
+
+def _trial_seconds(schedule: str, delay_ms: float) -> float:
+    """Return how long a trial takes: many short cycles, or many slices, take long to compute."""
+    if not delay_ms:
+        return 0.9
+    return 4.5 + 0.01 * delay_ms if schedule == "interruptible" else 0.08

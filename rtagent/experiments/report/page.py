@@ -1,4 +1,4 @@
-"""The page: HTML that stands alone, with its figures inside, readable in the light and in the dark, and on paper."""
+"""The page: HTML that stands alone, with its figures inside, for light and dark screens and for paper."""
 
 from __future__ import annotations
 
@@ -101,7 +101,9 @@ def _done(outcome: Outcome) -> str:
     told = f"{len(outcome.cells)} cells, {outcome.seconds:,.0f} s of one processor"
     if seeds:
         one_after_another = len(seeds) > 1 and seeds[-1] - seeds[0] == len(seeds) - 1
-        told += f", seeds {seeds[0]} to {seeds[-1]}" if one_after_another else f", seeds {', '.join(map(str, seeds))}"
+        told += (
+            f", seeds {seeds[0]} to {seeds[-1]}" if one_after_another else f", seeds {', '.join(map(str, seeds))}"
+        )
     return f"{told}; <code>rtagent reproduce {escape(outcome.experiment.name)}</code>."
 
 
@@ -112,7 +114,13 @@ def _failed(failed: Failed) -> str:
 
 def _claims(claims: Sequence[Claim]) -> str:
     rows = [
-        [escape(claim.said), escape(claim.theirs), escape(claim.ours), _verdict(claim.verdict), escape(claim.because)]
+        [
+            escape(claim.said),
+            escape(claim.theirs),
+            escape(claim.ours),
+            _verdict(claim.verdict),
+            escape(claim.because),
+        ]
         for claim in claims
     ]
     because = any(claim.because for claim in claims)
@@ -129,7 +137,9 @@ def _figure(drawn: Drawn) -> str:
     small = drawn.svg.stat().st_size < LARGE
     kind, file = ("svg+xml", drawn.svg) if small else ("png", drawn.png)
     data = base64.b64encode(file.read_bytes()).decode()
-    links = ", ".join(f'<a href="{drawn.png.parent.name}/{each.name}">{each.name}</a>' for each in (drawn.png, drawn.svg))
+    links = ", ".join(
+        f'<a href="{drawn.png.parent.name}/{each.name}">{each.name}</a>' for each in (drawn.png, drawn.svg)
+    )
     return (
         f'<figure><img alt="{escape(drawn.caption)}" src="data:image/{kind};base64,{data}">'
         f"<figcaption>{escape(drawn.caption)} ({links})</figcaption></figure>"

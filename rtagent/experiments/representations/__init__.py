@@ -21,11 +21,11 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The arm: point masses on the axes of shoulder, elbow and wrist, with gravity and the inertia of the motors; "
-        "servos as motors with gearboxes, identified by others, under proportional control, with friction, lag and sag; "
-        "heating by their currents; encoders with noise, and all readings in whole counts.",
-        "Not the arm: elasticity, backlash and stiction of gears, contact with the table beyond that it bears the object, "
-        "the supply's sag, and what the experimenter of the thesis did with the wrist, of which it says nothing: it is "
-        "held.",
+        "The arm is point masses on the axes of shoulder, elbow and wrist, with gravity and the inertia of the "
+        "motors; servos are motors with gearboxes, as others identified them, under proportional control, with "
+        "friction, lag and sag, heated by their currents; encoders have noise, and all is read in whole counts.",
+        "Of elasticity, backlash and stiction, of contact with the table beyond that it bears the object, and of "
+        "the supply's sag there is nothing in it. What was done with the wrist the thesis does not say: in one of "
+        "our arms it is held, in another it keeps the hand level and turns the object.",
     ),
 )

@@ -26,8 +26,15 @@ from rtagent.features import FeatureCoder
 from rtagent.learning import TrueOnlineTD
 
 ALPHA, GAMMA, LAMBDA = 0.001, 0.9, 0.99
-READINGS = {"printed": False, "divided": True}
-"""How the thesis's step size is read: as that of each weight, or divided by the number of active features."""
+READINGS = {"printed": (ALPHA, False), "divided": (ALPHA, True), "equal": (0.2, True)}
+"""How the thesis's step size is read: as that of each weight; divided by the number of active features; and, for
+comparison, so that all have what 8,000 prototypes have as it is printed, 0.2 of all active features together.
+"""
+RECORDING = "recording"
+ARMS: Mapping[str, Mapping[str, Any]] = {
+    "arm, wrist held": {"name": "sorting"},
+    "arm, wrist moving": {"name": "sorting", "wrist": True},
+}
 SEEDS, STREAMS = 5, 5
 QUICK_SEEDS, QUICK_STREAMS, QUICK_PROTOTYPES, QUICK_TILES = 2, 3, (1000, 8000, 20_000), 7
 TIMED_ROWS, SLOWLY_TIMED_ROWS = 2000, 200
@@ -36,10 +43,10 @@ TIMED_ROWS, SLOWLY_TIMED_ROWS = 2000, 200
 def cells(options: Options) -> list[Cell]:
     """Return the cells: on the simulated arm, and on the recording where one is given."""
     quick, streams = options.quick, QUICK_STREAMS if options.quick else STREAMS
-    sources: list[dict[str, Any]] = [{"name": "sorting"}]
+    sources = dict(ARMS)
     if options.data is not None:
-        sources.append(_recording(str(options.data)))
-    errors = [cell for source in sources for cell in _errors(source, streams, quick)]
+        sources[RECORDING] = _recording(str(options.data))
+    errors = [cell for source, stream in sources.items() for cell in _errors(source, stream, streams, quick)]
     return [*errors, *_times(quick), *_within(quick)]
 
 
@@ -48,13 +55,13 @@ def _recording(file: str) -> dict[str, Any]:
     return {"name": "recording", "file": file, "signals": layout_of(found.columns, found.told).needed}
 
 
-def _errors(source: Mapping[str, Any], streams: int, quick: bool) -> Iterator[Cell]:
+def _errors(source: str, settings: Mapping[str, Any], streams: int, quick: bool) -> Iterator[Cell]:
     for shuffle in range(streams):
-        stream = dict(source) | {"shuffle": shuffle}
-        yield {"kind": "baseline", "stream": stream, "seed": 0}
+        common = {"source": source, "stream": {**settings, "shuffle": shuffle}}
+        yield {"kind": "baseline", **common, "seed": 0}
         for dimensions in DIMENSIONS:
             for coder in _coders(dimensions, quick):
-                yield {"kind": "error", "stream": stream, "dimensions": dimensions, **coder}
+                yield {"kind": "error", **common, "dimensions": dimensions, **coder}
 
 
 def _coders(dimensions: int, quick: bool) -> Iterator[dict[str, Any]]:
@@ -146,14 +153,9 @@ def _lesson(cell: Cell) -> tuple[Lesson, FeatureCoder]:
 
 
 def _learner(coder: FeatureCoder, reading: str) -> TrueOnlineTD:
-    return TrueOnlineTD(
-        size=coder.size,
-        active=coder.active,
-        alpha=ALPHA,
-        divide_alpha=READINGS[reading],
-        gamma=GAMMA,
-        lambda_=LAMBDA,
-    )
+    alpha, divided = READINGS[reading]
+    alpha = alpha / coder.active if divided else alpha
+    return TrueOnlineTD(size=coder.size, active=coder.active, alpha=alpha, divide_alpha=False, lambda_=LAMBDA)
 
 
 def _step(lesson: Lesson, coder: FeatureCoder, rows: int) -> float:

@@ -12,11 +12,13 @@ import numpy as np
 from rtagent.experiments.experiment import Claim, Verdict
 from rtagent.experiments.representations.points import Point
 from rtagent.experiments.representations.within import TIME
-from rtagent.experiments.statistics import Interval, all_of, interval, within
+from rtagent.experiments.statistics import Interval, above, all_of, below, interval
 
 BEST = 8000
 """Prototypes, that the thesis found best."""
 LITTLE = 0.05
+PRINTED, EQUAL = "printed", "equal"
+"""Readings of the step size: as it is printed, and the same pace for all."""
 
 
 def error_claims(points: Sequence[Point], reading: str, told: str) -> list[Claim]:
@@ -31,6 +33,9 @@ class _Found:
     def __init__(self, points: Sequence[Point], reading: str, told: str) -> None:
         self._reading, self._told = reading, told
         self._kanerva = {(point.dimensions, point.size): point for point in points if point.size}
+        self._dimensions = sorted({dimensions for dimensions, _ in self._kanerva})
+        sizes = [size for _, size in self._kanerva]
+        self._smallest, self._largest = min(sizes), max(sizes)
         in_time = [point for point in points if not point.size and point.step <= TIME]
         self._tiles = {
             dimensions: min((each for each in in_time if each.dimensions == dimensions), key=self._mean)
@@ -48,7 +53,7 @@ class _Found:
                 "the best performance of all was that of selective Kanerva coding (figure 4.4)",
                 f"{self._told_of(ours)}; the best tile coding ({best.called}, {best.features:,} features) "
                 f"{self._told_of(best)}; ratio {ratio}",
-                within(ratio, high=1.0),
+                below(ratio, 1.0),
             )
 
     def more_dimensions(self) -> Iterator[Claim]:
@@ -60,7 +65,7 @@ class _Found:
                 "it utilized the additional dimensions to improve performance with the same number of prototypes",
                 f"{self._told_of(self._kanerva[more, BEST])} to {self._told_of(self._kanerva[fewer, BEST])}; "
                 f"ratio {ratio}",
-                within(ratio, high=1.0),
+                below(ratio, 1.0),
             )
         for more in (8, 12):
             ratio = self._ratio(self._tiles[more], self._tiles[2])
@@ -68,7 +73,7 @@ class _Found:
                 f"tile coding errs no less with {more} dimensions than with 2 ({self._told})",
                 "8 and 12 dimensions did not improve the error beyond what 2 achieved within 100 ms",
                 f"{self._told_of(self._tiles[more])} to {self._told_of(self._tiles[2])}; ratio {ratio}",
-                within(ratio, low=1.0),
+                above(ratio, 1.0),
             )
 
     def best_of_all(self) -> Claim:
@@ -82,28 +87,43 @@ class _Found:
             "12 dimensions with 8000 features demonstrated the overall best performance",
             f"{self._told_of(ours)}; the best other ({best.dimensions} dimensions, {best.called}) "
             f"{self._told_of(best)}; ratio {ratio}",
-            within(ratio, high=1.0),
+            below(ratio, 1.0),
         )
 
     def convex(self) -> Claim:
         """Return: the error falls to a minimum at 8,000 prototypes and rises again."""
-        verdicts, told = [], []
-        for dimensions in sorted({dimensions for dimensions, _ in self._kanerva}):
-            line = sorted(size for known, size in self._kanerva if known == dimensions)
-            least = min(line, key=lambda size: self._mean(self._kanerva[dimensions, size]))
-            ends = [self._ratio(self._kanerva[dimensions, end], self._kanerva[dimensions, BEST])
-                    for end in (line[0], line[-1])]  # fmt: skip
-            verdicts += [within(each, low=1.0) for each in ends]
-            told.append(
-                f"{dimensions} dimensions: least at {least:,}; {line[0]:,} to {BEST:,} {ends[0]}, "
-                f"{line[-1]:,} to {BEST:,} {ends[1]}"
-            )
+        ends = {dimensions: self._ends(dimensions, self._reading) for dimensions in self._dimensions}
+        told = [
+            f"{dimensions} dimensions: least at {self._least(dimensions):,}; {self._smallest:,} to {BEST:,} {few}, "
+            f"{self._largest:,} to {BEST:,} {many}"
+            for dimensions, (few, many) in ends.items()
+        ]
         return Claim(
             f"more prototypes than {BEST:,} err more, and so do fewer ({self._told})",
             "the error has a convex form with a minimum at 8000",
             "; ".join(told),
-            all_of(verdicts),
+            all_of(above(each, 1.0) for both in ends.values() for each in both),
+            self._pace() if self._reading == PRINTED else "",
         )
+
+    def _pace(self) -> str:
+        """Say what becomes of the form where all numbers of prototypes learn at the same pace."""
+        ends = [(dimensions, self._ends(dimensions, EQUAL)[1]) for dimensions in self._dimensions]
+        return (
+            "with the same α for each weight, more active features move a prediction further at each step; where "
+            f"all move it as far as {BEST:,} prototypes do, {self._largest:,} to {BEST:,} are "
+            + ", ".join(f"{ratio} ({dimensions} dimensions)" for dimensions, ratio in ends)
+        )
+
+    def _ends(self, dimensions: int, reading: str) -> tuple[Interval, Interval]:
+        """Return how the fewest and how the most prototypes err, as ratios to the 8,000."""
+        best = self._kanerva[dimensions, BEST]
+        few, many = (self._kanerva[dimensions, size] for size in (self._smallest, self._largest))
+        return _ratio(few, best, reading), _ratio(many, best, reading)
+
+    def _least(self, dimensions: int) -> int:
+        own = [point for (number, _), point in self._kanerva.items() if number == dimensions]
+        return min(own, key=self._mean).size
 
     def seeds(self) -> Claim:
         """Return: how prototypes are drawn matters little."""
@@ -113,7 +133,7 @@ class _Found:
             f"how prototypes are drawn changes errors by less than {LITTLE:.0%} ({self._told})",
             "consistently small standard error across distributions of prototypes",
             f"standard deviation over seeds, as a part of the mean, {spread}",
-            within(spread, high=LITTLE),
+            below(spread, LITTLE),
         )
 
     def _spread(self, point: Point) -> np.ndarray:
@@ -125,10 +145,14 @@ class _Found:
         return point.mean(self._reading)
 
     def _ratio(self, ours: Point, others: Point) -> Interval:
-        return interval(ours.each_stream(self._reading) / others.each_stream(self._reading))
+        return _ratio(ours, others, self._reading)
 
     def _told_of(self, point: Point) -> str:
         return f"{interval(point.each_stream(self._reading))}"
+
+
+def _ratio(ours: Point, others: Point, reading: str) -> Interval:
+    return interval(ours.each_stream(reading) / others.each_stream(reading))
 
 
 def reproduced(claims: Sequence[Claim]) -> int:

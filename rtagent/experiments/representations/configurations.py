@@ -1,4 +1,4 @@
-"""The representations that are compared, declared: 248 tile codings, and selective Kanerva codings of nine sizes."""
+"""The representations that are compared, declared: 248 tile codings, and nine sizes of selective Kanerva coding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DIMENSIONS = (2, 8, 12)
 LEAST, MOST = 128, 331_776
 """Features of the smallest and of the largest tile coding (thesis, section 4.3)."""
 TILES = {2: (4, 6, 8, 12, 16, 32, 48, 72, 96, 144, 192, 288, 576), 8: (2, 3, 4), 12: (2,)}
-"""Tiles along each dimension; more than the last of 8 or 12 dimensions would be over the largest number of features."""
+"""Tiles along each dimension; of 8 or 12, one tile more would be over the largest number of features."""
 PROTOTYPES = (1000, 2000, 4000, 6000, 8000, 10_000, 12_000, 16_000, 20_000)
 ETA = 0.025
 
@@ -35,8 +35,8 @@ class Tiles:
 def coder_of(settings: Mapping[str, Any], state: Mapping[str, Spec]) -> FeatureCoder:
     """Return the coder that a cell describes.
 
-    Tilings are displaced by the knight's move of Miller and Glanz (1996), and cover the ranges wherever they are: of
-    n tiles along a dimension, n - 1 are as wide as it.
+    Tilings are displaced by the knight's move of Miller and Glanz (1996), and cover the ranges wherever they are:
+    of n tiles along a dimension, n - 1 are as wide as it.
     """
     if "prototypes" in settings:
         sizes = {"prototypes": settings["prototypes"], "eta": settings.get("eta", ETA), "seed": settings["seed"]}

@@ -26,8 +26,8 @@ def error_figure(points: Sequence[Point], reading: str, told: str, unit: str, na
     tiles = sum(not point.size for point in points)
     caption = (
         f"Figure 4.4, top ({told}): mean absolute error over the last tenth of {shape[0]} streams. "
-        f"Dots: {tiles} tile codings, each in the mean over streams; lines: selective Kanerva coding, in the mean over "
-        f"{shape[1]} seeds and all streams, with the 95 % interval over streams."
+        f"Dots: {tiles} tile codings, each in the mean over streams; lines: selective Kanerva coding, in the "
+        f"mean over {shape[1]} seeds and all streams, with the 95 % interval over streams."
     )
     return Figure(name, caption, partial(_draw_errors, points, reading, unit), (7.0, 4.5))
 
@@ -45,6 +45,7 @@ def _draw_errors(points: Sequence[Point], reading: str, unit: str, canvas: Canva
         low, high = [each.low for each in ends], [each.high for each in ends]
         style.series(axes, number + 3, x, [each.middle for each in ends], label, low=low, high=high)
     _scale(axes, f"mean absolute error ({unit})")
+    axes.set_yscale("linear")
 
 
 def time_figure(plain: Sequence[Timed], compiled: Sequence[Timed]) -> Figure:
@@ -64,7 +65,9 @@ def _draw_times(plain: Sequence[Timed], compiled: Sequence[Timed], canvas: Canva
             for place, called, sized in ((number, "tile coding", False), (number + 3, "selective Kanerva", True)):
                 line = [each for each in own if bool(each.size) is sized]
                 steps = [each.step * 1e6 for each in line]
-                style.series(axes, place, [each.features for each in line], steps, f"{called}, {dimensions} dim.")
+                further = {} if sized else {"linestyle": "none"}  # of a size there are several tile codings
+                x, label = [each.features for each in line], f"{called}, {dimensions} dim."
+                style.series(axes, place, x, steps, label, **further)
         _scale(axes, "time of a step (µs)" if axes is left else "")
         axes.set_title(title)
     right.get_legend().remove()

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtagent.experiments.experiment import Claim, Table, Verdict
 from rtagent.experiments.representations.points import Pair
-from rtagent.experiments.statistics import Interval, all_of, compared, interval, within
+from rtagent.experiments.statistics import Interval, above, all_of, below, compared, interval
 
 THESIS = {
     ("tilings", 2): (247439, 302),
@@ -96,14 +96,12 @@ def _cheaper(kanerva: Sequence[Timed], tiles: Sequence[Timed], form: str) -> Cla
         f"tile coding takes less time than selective Kanerva coding with about as many features ({form})",
         "tile coding was significantly more time efficient",
         f"selective Kanerva coding takes {ratio} times as long, in the median over sizes",
-        within(ratio, low=1.0),
+        above(ratio, 1.0),
     )
 
 
 def _trend(said: str, theirs: str, ratios: Sequence[float], told: str) -> Claim:
-    return Claim(
-        said, theirs, told, all_of(within(Interval(each, each, each), low=TIMES_LONGER) for each in ratios)
-    )
+    return Claim(said, theirs, told, all_of(above(Interval(each, each, each), TIMES_LONGER) for each in ratios))
 
 
 def _us(seconds: float) -> str:
@@ -133,7 +131,7 @@ def table_claims(pairs: Sequence[Pair]) -> Iterator[Claim]:
         "the more dimensions, the fewer prototypes fit into 100 ms",
         "19,333, 12,960 and 10,883 prototypes with 2, 8 and 12 dimensions",
         f"8 to 2 dimensions: ratio {fewer[0]}; 12 to 8: {fewer[1]}",
-        all_of(within(each, high=1.0) for each in fewer),
+        all_of(below(each, 1.0) for each in fewer),
     )
 
 
@@ -153,8 +151,8 @@ def table(pairs: Sequence[Pair]) -> Table:
         rows.append((CALLED[what], str(dimensions), _mean(some), f"{mean:,} ± {spread}"))
     seeds = len({cell["seed"] for cell, _ in pairs})
     caption = (
-        f"Table 4.1: features that are computed within 100 ms, mean ± standard deviation over {seeds} seeds; ≥ where "
-        "a quarter of the free memory was full before. States are independent of each other."
+        f"Table 4.1: features that are computed within 100 ms, mean ± standard deviation over {seeds} seeds; ≥ "
+        "where a quarter of the free memory was full before. States are independent of each other."
     )
     return Table(caption, ("representation", "dimensions", "ours", "thesis (a core of 2.5 GHz)"), tuple(rows))
 

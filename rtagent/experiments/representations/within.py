@@ -52,9 +52,7 @@ def features_within(seconds: float, what: str, signals: int, seed: int, *, quick
 def encoding_time(what: str, size: int, signals: int, seed: int) -> float:
     """Return the median time (s) of encoding one of several independent states, after a first one."""
     coder = _coder(what, size, signals, seed)
-    times = []
-    for state in np.random.default_rng(seed).random((STATES + 1, signals)):
-        times.append(_time(coder, state))
+    times = [_time(coder, state) for state in np.random.default_rng(seed).random((STATES + 1, signals))]
     return float(np.median(times[1:]))
 
 
