@@ -130,6 +130,7 @@ def _tell_plan(console: Console, experiments: Sequence[Experiment], options: Opt
 
 def _list(console: Console, options: Options) -> int:
     table = Table("experiment", "what it is", "thesis", "--quick", "in full", box=None, pad_edge=False)
+    table.columns[0].no_wrap = True
     code = 0
     for name in plugins.names(GROUP):
         try:
@@ -173,12 +174,13 @@ def _plain(outcome: Outcome) -> dict[str, object]:
 
 
 def _tell_claims(console: Console, outcomes: Sequence[Outcome]) -> None:
-    table = Table("experiment", "claim", "the thesis", "here", "verdict", box=None, pad_edge=False)
+    table = Table("experiment", "verdict", "claim", box=None, pad_edge=False)
+    for column in table.columns[:2]:
+        column.no_wrap = True
     for outcome in outcomes:
         for claim in outcome.findings.claims:
-            color = COLORS[claim.verdict]
-            said = map(escape, (claim.said, claim.theirs, claim.ours))
-            table.add_row(outcome.experiment.name, *said, f"[{color}]{claim.verdict.value}[/{color}]")
+            verdict = f"[{COLORS[claim.verdict]}]{claim.verdict.value}[/]"
+            table.add_row(outcome.experiment.name, verdict, escape(claim.said))
     if table.rows:
         console.print()
         console.print(table)

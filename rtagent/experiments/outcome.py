@@ -6,11 +6,15 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rtagent.errors import RtagentError
 from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Experiment, Figure, Findings, Options, Row
 from rtagent.sweeps.compute import MeasuringError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
 
 Measurements = Callable[[Experiment, Sequence[Cell]], Sequence[Row]]
 
@@ -69,15 +73,20 @@ def carry_out(experiment: Experiment, options: Options, measurements: Measuremen
 
 
 def draw(figure: Figure, stem: Path) -> Drawn:
-    """Draw a figure in the style of all, and write it as PNG and SVG."""
+    """Draw a figure, and write it as PNG and SVG."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    return Drawn(figure.caption, *style.save(canvas_of(figure), stem))
+
+
+def canvas_of(figure: Figure) -> Canvas:
+    """Draw a figure in the style of all."""
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
 
     with mpl.rc_context(style.SETTINGS):
         canvas = Canvas(figsize=figure.size, layout="constrained")
         figure.draw(canvas)
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        return Drawn(figure.caption, *style.save(canvas, stem))
+    return canvas
 
 
 def _failures(error: Exception, where: str = "") -> Iterator[Failed]:

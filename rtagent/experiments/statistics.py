@@ -12,6 +12,8 @@ from rtagent.experiments.experiment import Verdict
 
 DRAWN = 2000
 LEVEL = 0.95
+FEW = 2
+"""Of fewer seeds nothing is known but their own values: the interval has no ends."""
 
 Statistic = Callable[[NDArray[np.float64]], np.float64]
 
@@ -31,10 +33,7 @@ class Interval:
 def interval(values: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of values, one a seed, with its bootstrap interval (percentiles of 2,000 samples)."""
     given = np.asarray(values, float)
-    drawn = np.random.default_rng(0).choice(given, (DRAWN, len(given)))
-    if statistic in (np.mean, np.median):  # they do all samples at once
-        return _between(float(statistic(given)), statistic(drawn, axis=1))
-    return _between(float(statistic(given)), np.array([statistic(sample) for sample in drawn]))
+    return _between(float(statistic(given)), _drawn(given, statistic, np.random.default_rng(0)), len(given))
 
 
 def compared(
@@ -46,12 +45,21 @@ def compared(
     """Return how a statistic of one group is to that of another (a difference, a ratio), with its interval."""
     first, second = np.asarray(ours, float), np.asarray(others, float)
     rng = np.random.default_rng(0)
-    pairs = [(rng.choice(first, len(first)), rng.choice(second, len(second))) for _ in range(DRAWN)]
-    drawn = np.array([how(float(statistic(a)), float(statistic(b))) for a, b in pairs])
-    return _between(how(float(statistic(first)), float(statistic(second))), drawn)
+    pairs = zip(_drawn(first, statistic, rng), _drawn(second, statistic, rng), strict=True)
+    drawn = np.array([how(float(a), float(b)) for a, b in pairs])
+    return _between(how(float(statistic(first)), float(statistic(second))), drawn, min(len(first), len(second)))
 
 
-def paired(ours: Sequence[float], others: Sequence[float], statistic: Statistic = np.mean) -> Interval:
+def _drawn(given: NDArray[np.float64], statistic: Statistic, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a statistic of samples that are drawn from values, with replacement."""
+    samples = rng.choice(given, (DRAWN, len(given)))
+    if statistic in (np.mean, np.median):
+        found: NDArray[np.float64] = np.asarray(statistic(samples, axis=1))
+        return found
+    return np.array([statistic(sample) for sample in samples])
+
+
+def paired(ours: ArrayLike, others: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of the differences, seed by seed, of two groups that met the same worlds."""
     return interval(np.subtract(ours, others), statistic)
 
@@ -64,11 +72,16 @@ def pooled(
     given = [(np.asarray(first, float), np.asarray(second, float)) for first, second in pairs]
     rng = np.random.default_rng(0)
     drawn = [np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)]
-    return _between(float(np.mean([how(a, b) for a, b in given])), np.array(drawn))
+    return _between(
+        float(np.mean([how(a, b) for a, b in given])), np.array(drawn), min(min(len(a), len(b)) for a, b in given)
+    )
 
 
-def _between(middle: float, drawn: NDArray[np.float64]) -> Interval:
-    low, high = np.quantile(drawn, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+def _between(middle: float, drawn: NDArray[np.float64], seeds: int) -> Interval:
+    if seeds < FEW:
+        return Interval(-np.inf, middle, np.inf)
+    ends = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    low, high = np.quantile(drawn, ends, method="inverted_cdf")  # which takes ratios to nothing, too
     return Interval(float(low), middle, float(high))
 
 

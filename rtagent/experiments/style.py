@@ -102,9 +102,12 @@ def boxes(
 
 def save(canvas: Canvas, stem: Path) -> tuple[Path, Path]:
     """Write a figure as `stem`.png and `stem`.svg; return both."""
+    import matplotlib as mpl
+
     png, svg = stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.svg")
-    canvas.savefig(png, dpi=DOTS_PER_INCH)
-    canvas.savefig(svg, metadata={"Date": None})
+    with mpl.rc_context(SETTINGS):
+        canvas.savefig(png, dpi=DOTS_PER_INCH)
+        canvas.savefig(svg, metadata={"Date": None})
     return png, svg
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Figure, Row
-from rtagent.experiments.reaction_time.groups import Groups, delays, medians, reactions, rewards, schedules
+from rtagent.experiments.reaction_time.groups import Groups, delays, median, reactions, reward, schedules, values
 from rtagent.experiments.reaction_time.trials import LATE, THESIS, Trial
 
 if TYPE_CHECKING:
@@ -28,7 +28,13 @@ def figures(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> tuple[Figure, 
             "reward",
             f"As figure 3.4: summed reward over the last {LATE} episodes of each trial, by what learning takes. "
             f"Boxes: quartiles and median; whiskers: all trials. {run}",
-            partial(_boxed, groups, THESIS, rewards, f"reward of the last {LATE} episodes (−s in Emergency)"),
+            partial(
+                _boxed,
+                groups,
+                THESIS,
+                partial(values, value=reward),
+                f"reward of the last {LATE} episodes (−s in Emergency)",
+            ),
         ),
         Figure(
             "reactions",
@@ -44,7 +50,7 @@ def figures(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> tuple[Figure, 
 
 
 def _run(groups: Groups, pairs: Sequence[tuple[Cell, Row]]) -> str:
-    trials = " or ".join(str(count) for count in sorted({len(trials) for trials in groups.values()}))
+    trials = ", ".join(str(count) for count in sorted({len(trials) for trials in groups.values()}))
     cell = pairs[0][0]
     costs = ", ".join(f"{component} {cost}" for component, cost in cell.get("costs", {}).items())
     charged = f"; virtual clock, charged for {costs}" if costs else "; real clock"
@@ -59,14 +65,14 @@ def _late(groups: Groups) -> Groups:
 def _boxed(
     groups: Groups,
     shown: Sequence[str],
-    values: Callable[[Sequence[Trial]], Sequence[float]],
+    drawn: Callable[[Sequence[Trial]], Sequence[float]],
     label: str,
     canvas: Canvas,
 ) -> None:
     axes, places = canvas.add_subplot(), np.arange(len(delays(groups)))
     for number, schedule in enumerate(shown):
-        drawn = [values(groups[schedule, delay]) for delay in delays(groups)]
-        style.boxes(axes, number, drawn, list(places + 0.36 * (number - 0.5)), schedule, width=0.32)
+        boxes = [drawn(groups[schedule, delay]) for delay in delays(groups)]
+        style.boxes(axes, number, boxes, list(places + 0.36 * (number - 0.5)), schedule, width=0.32)
     axes.set_xticks(places, [f"{delay:g}" for delay in delays(groups)])
     axes.set_xlabel(DELAY)
     axes.set_ylabel(label)
@@ -77,7 +83,7 @@ def _medians(groups: Groups, canvas: Canvas) -> None:
     axes: Axes = canvas.add_subplot()
     for number, schedule in enumerate(schedules(groups)):
         over = [delay for delay in delays(groups) if (schedule, delay) in groups]
-        middle = [np.median(medians(groups[schedule, delay])) for delay in over]
+        middle = [np.median(values(groups[schedule, delay], median)) for delay in over]
         style.series(axes, number, over, middle, schedule)
     axes.set_yscale("log")
     axes.set_xlabel(DELAY)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from rtagent.experiments.reaction_time.trials import Trial
 Group = tuple[str, float]
 """A schedule, and what learning takes (ms)."""
 Groups = Mapping[Group, Sequence[Trial]]
+Value = Callable[[Trial], float | None]
 
 
 def groups_of(pairs: Sequence[tuple[Cell, Row]]) -> Groups:
@@ -33,21 +34,27 @@ def delays(groups: Groups, *, above: float = -1) -> list[float]:
     return sorted({delay for _, delay in groups if delay > above})
 
 
-def rewards(trials: Sequence[Trial]) -> list[float]:
-    """Return the summed reward of each trial."""
-    return [trial["reward"] for trial in trials]
+def reward(trial: Trial) -> float | None:
+    """Return the summed reward of a trial."""
+    return float(trial["reward"])
 
 
-def medians(trials: Sequence[Trial]) -> list[float]:
-    """Return the median reaction time (ms) of each trial that has any."""
-    return [1e3 * float(np.median(trial["reactions_s"])) for trial in trials if trial["reactions_s"]]
+def median(trial: Trial) -> float | None:
+    """Return the median reaction time (ms) of a trial that has any."""
+    return 1e3 * float(np.median(trial["reactions_s"])) if trial["reactions_s"] else None
 
 
-def both(ours: Sequence[Trial], others: Sequence[Trial]) -> tuple[list[float], list[float]]:
-    """Return the median reactions (ms) of trials with the same seeds, where both have any."""
-    seen = {trial["seed"]: trial for trial in others if trial["reactions_s"]}
-    alike = [(trial, seen[trial["seed"]]) for trial in ours if trial["reactions_s"] and trial["seed"] in seen]
-    return medians([first for first, _ in alike]), medians([second for _, second in alike])
+def values(trials: Sequence[Trial], value: Value) -> list[float]:
+    """Return a value of each trial that has it."""
+    return [found for trial in trials if (found := value(trial)) is not None]
+
+
+def alike(ours: Sequence[Trial], others: Sequence[Trial], value: Value) -> tuple[list[float], list[float]]:
+    """Return a value of the trials that have the same seeds in both groups, where both have it."""
+    seen = {trial["seed"]: value(trial) for trial in others}
+    pairs = [(value(trial), seen.get(trial["seed"])) for trial in ours]
+    both = [(first, second) for first, second in pairs if first is not None and second is not None]
+    return [first for first, _ in both], [second for _, second in both]
 
 
 def reactions(trials: Sequence[Trial]) -> list[float]:

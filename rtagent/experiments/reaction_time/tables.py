@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtagent.experiments.experiment import Table
-from rtagent.experiments.reaction_time.groups import Groups, medians, reactions, rewards
+from rtagent.experiments.reaction_time.groups import Groups, median, reactions, reward, values
 from rtagent.experiments.statistics import interval
 
 
@@ -17,8 +17,8 @@ def table(groups: Groups) -> Table:
             schedule,
             f"{delay:g} ms",
             str(len(trials)),
-            str(interval(rewards(trials))),
-            f"{interval(medians(trials), np.median)} ms" if medians(trials) else "",
+            str(interval(values(trials, reward))),
+            f"{interval(values(trials, median), np.median)} ms" if reactions(trials) else "",
             f"{np.quantile(reactions(trials), 0.9):.3g} ms" if reactions(trials) else "",
             str(sum(trial["missed"] for trial in trials)),
         )
