@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -40,7 +41,9 @@ ROW = np.array([[0.0], [0.1], [0.2], [0.6], [0.8], [1.0]])
 
 
 def on_a_line(**rules: Any) -> AdaptiveKanerva:
-    return AdaptiveKanerva(state=STATE, prototypes=ROW, eta=1 / 3, **({"interval": 3, "rare": 1.0} | rules))
+    return AdaptiveKanerva(
+        state=STATE, prototypes=ROW, eta=1 / 3, **({"interval": 3, "spacing": 0.05, "rare": 1.0} | rules)
+    )
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -50,7 +53,9 @@ def test_the_least_visited_moves_to_the_state_by_hand(form: str) -> None:
     assert coder.encode([0.04]).indices.tolist() == [0, 1]
     assert coder.encode([0.85]).indices.tolist() == [4, 5]
     assert coder.take_moves() == ()
-    found = coder.encode([0.42])  # 2 and 3 are active, 0.22 and 0.18 away; 0, 1, 4 and 5 have been visited once each
+    found = coder.encode(
+        [0.42]
+    )  # 2 and 3 are active, 0.22 and 0.18 away; 0, 1, 4 and 5 have been visited once each
     assert coder.prototypes.ravel().tolist() == [0.42, 0.1, 0.2, 0.6, 0.8, 1.0], "the first of the least visited"
     assert found.indices.tolist() == [0, 3], "2 was the farther one"
     assert coder.take_moves() == (Move(0, 2),)
@@ -131,7 +136,7 @@ def test_lists_of_neighbours_follow_a_move() -> None:
     plain_moves = moves = 0
     with kernels.plain():
         plain = AdaptiveKanerva(state=PLANE, prototypes=3000, eta=0.01, interval=7, spacing=0.001, rare=1.0)
-    for state in np.cumsum(np.random.default_rng(3).normal(0, 0.01, (300, 2)), axis=0) + (0.5, 0.0):
+    for state in np.cumsum(np.random.default_rng(3).normal(0, 0.01, (300, 2)), axis=0) + np.array((0.5, 0.0)):
         assert coder.encode(state).indices.tolist() == plain.encode(state).indices.tolist()
         moves, plain_moves = moves + len(coder.take_moves()), plain_moves + len(plain.take_moves())
     assert coder.prototypes.tolist() == plain.prototypes.tolist()
@@ -139,17 +144,17 @@ def test_lists_of_neighbours_follow_a_move() -> None:
 
 
 SIZE, ACTIVE = 40, 4
-SETTINGS: dict[str, Any] = {"size": SIZE, "active": ACTIVE, "alpha": 0.3, "gamma": 0.8, "lambda_": 0.7}
+SETTINGS: dict[str, Any] = {"active": ACTIVE, "alpha": 0.3, "gamma": 0.8, "lambda_": 0.7}
 CONTROL: dict[str, Any] = SETTINGS | {"actions": 2}
-LEARNERS: dict[str, Callable[[], Any]] = {
-    "td": lambda: TD(**SETTINGS),
-    "true online": lambda: TrueOnlineTD(**SETTINGS),
-    "swift": lambda: SwiftTD(**SETTINGS),
-    "gtd": lambda: GTD(target=(0.5, 0.5), **SETTINGS),
-    "sarsa": lambda: Sarsa(**CONTROL),
-    "q": lambda: QLearning(**CONTROL),
-    "expected": lambda: ExpectedSarsa(policy=Greedy(), **(CONTROL | {"lambda_": 0.0})),
-    "true online sarsa": lambda: TrueOnlineSarsa(**CONTROL),
+LEARNERS: dict[str, Callable[..., Any]] = {
+    "td": partial(TD, **SETTINGS),
+    "true online": partial(TrueOnlineTD, **SETTINGS),
+    "swift": partial(SwiftTD, **SETTINGS),
+    "gtd": partial(GTD, target=(0.5, 0.5), **SETTINGS),
+    "sarsa": partial(Sarsa, **CONTROL),
+    "q": partial(QLearning, **CONTROL),
+    "expected": partial(ExpectedSarsa, policy=Greedy(), **(CONTROL | {"lambda_": 0.0})),
+    "true online sarsa": partial(TrueOnlineSarsa, **CONTROL),
 }
 
 
@@ -174,10 +179,7 @@ def values(learner: Any, features: FeatureVector) -> list[float]:
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_learner_hands_a_weight_on_and_no_trace_comes_with_it(name: str, large: bool) -> None:
     size = 2000 if large else SIZE  # large enough to be compiled
-    before = dict(SETTINGS), dict(CONTROL)
-    SETTINGS["size"] = CONTROL["size"] = size
-    learner = LEARNERS[name]()
-    (SETTINGS["size"], CONTROL["size"]) = before[0]["size"], before[1]["size"]
+    learner = LEARNERS[name](size=size)
     coded = vectors(30)
     for step in steps(coded):
         learner.update(step)

@@ -1,8 +1,8 @@
 """Selective Kanerva coding whose prototypes move to where states are.
 
-After the sparse distributed memories of Ratitch and Precup (2004) and of Ratitch, Mahadevan and Precup (2004), which
-add a location where a state has none that is like it, and remove others as memory is full; and after visit counts as
-a measure of what may go (Wu and Meleis 2009). Here as many prototypes as ever are active.
+After the sparse distributed memories of Ratitch and Precup (2004) and of Ratitch, Mahadevan and Precup (2004),
+which add a location where a state has none that is like it, and remove others when memory is full; and after visit
+counts as a measure of what may go (Wu and Meleis 2009). Here as many prototypes as ever are active.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class AdaptiveKanerva:
         prototypes: int | NDArray[np.float64] = 1000,
         eta: float = 0.025,
         interval: int = 100,
-        spacing: float = 0.05,
+        spacing: float = 0.01,
         rare: float = 0.1,
         distance: Distance = "euclidean",
         seed: int = 0,
@@ -66,14 +66,14 @@ class AdaptiveKanerva:
         self._since, self._moves = 0, list[Move]()
 
     def encode(self, state: State) -> FeatureVector:
-        """Return the features of `state`, and move a prototype where one is due; raise as `SelectiveKanerva` does."""
+        """Return the features of `state`, after moving a prototype if one is due; raise as the coder does."""
         features = self._coder.encode(state)
         self.visits[features.indices] += 1.0
         self._since += 1
         return features if self._since < self.interval else self._adapted(state, features)
 
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, None]:
-        """Return the features of successive states, a row each, without moving prototypes: `adapt` does."""
+        """Return the features of successive states, a row each; no prototype moves, which `adapt` does."""
         indices, _ = self._coder.encode_each(states)
         self.visits += np.bincount(indices.ravel(), minlength=self.size)
         return indices, None
@@ -84,7 +84,7 @@ class AdaptiveKanerva:
         return self.take_moves()
 
     def take_moves(self) -> tuple[Move, ...]:
-        """Return which features have become others since this was last asked, each with that whose place it took."""
+        """Return which features became others since this was last asked, each with that whose place it took."""
         moves, self._moves = tuple(self._moves), []
         return moves
 
@@ -120,7 +120,7 @@ class AdaptiveKanerva:
         return found
 
     def _rarest(self, active: IndexArray) -> int | None:
-        """Return the least visited prototype that is not active, the first of several; None where it is no rare one."""
+        """Return the least visited prototype that is not active, the first of several; None if it is not rare."""
         visits = self.visits.copy()
         visits[active] = inf
         place = int(visits.argmin())

@@ -8,7 +8,7 @@ from math import inf
 from rtagent.experiments.experiment import Claim, Verdict
 from rtagent.experiments.grasping import FINGERS, SETTINGS
 from rtagent.experiments.multimodal.errors import ALL, OTHERS, Errors, diverged, effect, ratio
-from rtagent.experiments.statistics import Interval, within
+from rtagent.experiments.statistics import Interval, above, below, within
 
 SMALL = 0.2
 """Cohen's least effect that is called small (Cohen, 1988)."""
@@ -55,7 +55,7 @@ def _ring_effects(errors: Errors, reading: str) -> Claim:
         f"For ring “All” is better by such an effect than “{COLOR}”, not than “{POSITION}” (α = 0.01 as {reading})",
         f"a small to medium effect, with the exception of ring on “{POSITION}” (figure 5.9)",
         f"d = {color} against “{COLOR}”, {position} against “{POSITION}”",
-        joined([within(color, SMALL), within(position, -inf, SMALL)]),
+        joined([above(color, SMALL), below(position, SMALL)]),
     )
 
 
