@@ -1,4 +1,4 @@
-"""Prototypes that move to where states are, against as many that stay (the proposal of the thesis, section 6.3.2)."""
+"""Prototypes that move to where states are, against as many that stay (thesis, section 6.3.2, a proposal)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rtagent.experiments.beyond import GRASPING, SORTING, STREAMS, UNITS, Proble
 from rtagent.experiments.chunks import follow_chunks
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table, Verdict
 from rtagent.experiments.grasping import ETA
-from rtagent.experiments.statistics import Interval, above, below, compared, interval
+from rtagent.experiments.statistics import Interval, above, all_of, below, compared, interval
 from rtagent.experiments.streams import part_error
 from rtagent.experiments.style import series
 from rtagent.features import AdaptiveKanerva, SelectiveKanerva
@@ -124,18 +124,12 @@ def _claims(stream: str, groups: Mapping[Group, Sequence[Row]]) -> list[Claim]:
 
 
 def _claim(said: str, theirs: str, found: Mapping[int, Interval], unit: str, side: Any) -> Claim:
-    """Return a claim about every size; it differs where it holds for some and surely not for others."""
+    """Return a claim about every size; where it holds for some only, it is told for which it does not."""
     verdicts = {size: side(each, 1.0) for size, each in found.items()}
     ours = "; ".join(f"{size:,} prototypes: {each} {unit}" for size, each in found.items())
-    given = set(verdicts.values())
-    verdict = given.pop() if len(given) == 1 else _mixed(given)
     other = [f"{size:,} ({each})" for size, each in verdicts.items() if each != Verdict.REPRODUCED]
     because = f"not so for {', '.join(other)}" if 0 < len(other) < len(found) else ""
-    return Claim(said, theirs, ours, verdict, because)
-
-
-def _mixed(verdicts: set[Verdict]) -> Verdict:
-    return Verdict.DIFFERS if Verdict.NOT_REPRODUCED in verdicts else Verdict.UNDECIDED
+    return Claim(said, theirs, ours, all_of(verdicts.values()), because)
 
 
 def ratio(rows: Sequence[Row], name: str) -> Interval:
@@ -157,7 +151,9 @@ def _table(groups: Mapping[Group, Sequence[Row]]) -> Table:
         for kind in (FIXED, *SPACINGS)
     )
     apart = ", ".join(f"{kind}: {spacing}" for kind, spacing in SPACINGS.items())
-    return Table(f"Errors of the test, with intervals over seeds of prototypes (least distance: {apart}).", head, rows)
+    return Table(
+        f"Errors of the test, with intervals over seeds of prototypes (least distance: {apart}).", head, rows
+    )
 
 
 def _numbers(several: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
@@ -199,9 +195,9 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The streams are those of the simulated grasping experiment (docs/grasping.md) and of the simulated sorting "
-        "arm (docs/sorting.md), one of each; seeds are those of prototypes.",
-        "When prototypes move is after Ratitch and Precup (2004), not theirs in all: here as many as ever are active, "
-        "and the least visited one goes.",
+        "The streams are one of the simulated grasping experiment (docs/grasping.md), and one of the simulated "
+        "sorting arm (docs/sorting.md); seeds are those of prototypes.",
+        "When prototypes move is after Ratitch and Precup (2004), not theirs in all: here as many as ever are "
+        "active, and the least visited one goes.",
     ),
 )

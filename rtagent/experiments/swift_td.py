@@ -11,7 +11,7 @@ import numpy as np
 
 from rtagent.experiments.beyond import GRASPING, SORTING, STREAMS, UNITS, Problem, problem
 from rtagent.experiments.chunks import Follows, follow_chunks
-from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table, Verdict
+from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table
 from rtagent.experiments.grasping import ETA
 from rtagent.experiments.statistics import Interval, below, interval
 from rtagent.experiments.streams import part_error
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 TRUE_ONLINE, SWIFT = "true online TD(λ)", "SwiftTD"
-ALPHAS, META_STEP_SIZES, ETA_BOUND = (0.003, 0.01, 0.03, 0.1, 0.3), (1e-4, 1e-3, 1e-2), 0.5
-"""Step sizes of all active features together that are tried; SwiftTD begins with the second and the fourth."""
+ALPHAS = (0.01, 0.03, 0.1, 0.3, 0.6, 1.0)
+"""Step sizes of all active features together that are tried with true online TD(λ)."""
+FIRST_ALPHAS, META_STEP_SIZES, BOUND = (0.01, 0.1, 0.3), (1e-3, 1e-2, 1e-1), 0.5
+"""Those that SwiftTD begins with, the step sizes of their logarithms, and the bound on its rate of learning."""
 PROTOTYPES, QUICK_PROTOTYPES = 8000, 2000
 SEEDS, QUICK_SEEDS = 20, 5
 EVERY, QUICK_EVERY = 5, 25
@@ -46,7 +48,7 @@ def cells(options: Options) -> list[Cell]:
 def seconds(cell: Cell) -> float:
     """Estimate how long a cell takes."""
     rows = 35_000 if cell["stream"] == SORTING else 884_000 / cell["every"]
-    return float(1.0 + rows * (10e-6 + 12e-9 * cell["prototypes"]))
+    return float(0.5 + rows * (8e-6 + 6e-9 * cell["prototypes"]))
 
 
 def measure(cell: Cell) -> Row:
@@ -76,9 +78,9 @@ def _learners(given: Problem, coder: SelectiveKanerva) -> dict[tuple[str, str], 
     learners: dict[tuple[str, str], Follows] = {
         (TRUE_ONLINE, f"α {alpha:g}"): TrueOnlineTD(alpha=alpha, **common) for alpha in ALPHAS
     }
-    for alpha, meta in product((ALPHAS[1], ALPHAS[3]), META_STEP_SIZES):
+    for alpha, meta in product(FIRST_ALPHAS, META_STEP_SIZES):
         setting = f"α {alpha:g}, meta step size {meta:g}"
-        learners[SWIFT, setting] = SwiftTD(alpha=alpha, meta_step_size=meta, eta=ETA_BOUND, **common)
+        learners[SWIFT, setting] = SwiftTD(alpha=alpha, meta_step_size=meta, eta=BOUND, **common)
     return learners
 
 
@@ -100,7 +102,7 @@ def _errors(pairs: Sequence[tuple[Cell, Row]], stream: str) -> Errors:
 
 
 def best(errors: Errors) -> dict[str, str]:
-    """Return, for each learner, the setting of the least mean error before the test, of those that never diverged."""
+    """Return each learner's setting with the least mean error before the test, of those that never diverged."""
     found = {}
     for learner in (TRUE_ONLINE, SWIFT):
         means = {
@@ -130,7 +132,6 @@ def _claim(stream: str, errors: Errors, chosen: Mapping[str, str]) -> Claim:
         "not in the thesis; its authors find so in predictions on Atari games (Javed and others 2024)",
         f"{found} times the error; settings: {chosen[SWIFT]}; {chosen[TRUE_ONLINE]}",
         below(found, 1.0),
-        "" if below(found, 1.0) == Verdict.REPRODUCED else f"mean absolute errors, in {UNITS[stream]}, are in the table",
     )
 
 
@@ -143,15 +144,17 @@ def _table(by_stream: Mapping[str, Errors], chosen: Mapping[str, Mapping[str, st
             told = [str(interval([each[part] for each in several if each])) for part in ("chosen by", "test")]
             rows.append((stream, key, *(told if not diverged else [f"diverged, {diverged} seeds"] * 2), mark))
     head = ("stream", "learner", "error before the test", "error of the test", "")
-    return Table("Mean absolute errors of all settings that were tried, with intervals over seeds.", head, tuple(rows))
+    return Table(
+        "Mean absolute errors of all settings that were tried, with intervals over seeds.", head, tuple(rows)
+    )
 
 
 def _figure(by_stream: Mapping[str, Errors], chosen: Mapping[str, Mapping[str, str]], pairs: Any) -> Figure:
     cell, seeds = pairs[0][0], len({cell["seed"] for cell, _ in pairs})
     told = "; ".join({row["told"]: None for _, row in pairs})
     caption = (
-        f"Mean absolute errors of the test, {seeds} seeds of {cell['prototypes']:,} prototypes, η {cell['eta']}, with the "
-        f"settings that did best before it; {told}."
+        f"Mean absolute errors of the test, {seeds} seeds of {cell['prototypes']:,} prototypes, η {cell['eta']}, "
+        f"with the settings that did best before it; {told}."
     )
     return Figure("errors", caption, partial(_draw, by_stream=by_stream, chosen=chosen), (6.5, 3.5))
 
@@ -176,7 +179,7 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The streams are those of the simulated grasping experiment (docs/grasping.md) and of the simulated sorting "
-        "arm (docs/sorting.md), one of each; seeds are those of prototypes.",
+        "The streams are one of the simulated grasping experiment (docs/grasping.md), and one of the simulated "
+        "sorting arm (docs/sorting.md); seeds are those of prototypes.",
     ),
 )
