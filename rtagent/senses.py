@@ -93,6 +93,11 @@ class Senses:
         for device in self._devices:
             device.watch()
 
+    @property
+    def as_of_now(self) -> bool:
+        """Whether a device is read as of now, so that an observation tells more once time has passed."""
+        return any(device.as_of_now for device in self._devices)
+
     def news(self) -> bool:
         """Say whether there is something new to observe."""
         now = self._now()
@@ -101,14 +106,18 @@ class Senses:
                 return True
         return False
 
-    async def wait_for_news(self, other: asyncio.Future[None]) -> None:
-        """Wait until there is something new to observe, or `other` is done; at most as long as observing may."""
+    async def wait_for_news(self, other: asyncio.Future[None], at_most: int | None = None) -> None:
+        """Wait until there is something new to observe, or `other` is done; `at_most` (ns) as long as observing may."""
         watches: set[asyncio.Future[Any]] = {other}
         watches |= {watch for device in self._devices if (watch := device.watch()) is not None}
         now = self._now()
         events = [event for device in self._devices if (event := device.next_news()) is not None]
-        limit = max(0, min([*events, now + self._timeout]) - now)
+        limit = max(0, min([*events, now + (self._timeout if at_most is None else at_most)]) - now)
         await asyncio.wait(watches, timeout=limit / second, return_when=asyncio.FIRST_COMPLETED)
+
+    def observed(self) -> dict[str, Sample]:
+        """Return the sample of every device that the newest observation holds."""
+        return {device.name: device.sample for device in self._devices if device.sample is not None}
 
     async def newest(self) -> dict[str, Sample]:
         """Return the newest sample of every device that has one, also those not observed yet."""

@@ -12,6 +12,7 @@ from rtagent.events import Event
 from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
+from rtagent.ordering import Ordering
 from rtagent.schedule import PRESETS, Component, Overrun, Wait
 from rtagent.units import Duration, ms, us
 
@@ -46,6 +47,7 @@ class ScheduleTable(Table):
     overrun: Overrun = Field(Overrun.SKIP, description="after a late cycle: skip missed deadlines or catch up")
     observe: Wait = Field(Wait.FRESH, description="observe waits for something fresh, or takes the latest")
     observe_timeout: Duration = Field(100 * ms, description="how long observe waits, at most")
+    ordering: Ordering | None = Field(None, description="how the order is learned, with the preset for that")
 
     @field_validator("preset")
     @classmethod
@@ -98,12 +100,13 @@ CostValue = Annotated[CostTable, BeforeValidator(_as_table)]
 
 
 class CostsTable(Table):
-    """What the components cost under the virtual clock."""
+    """What the components cost under the virtual clock; `order` is the decision what comes next."""
 
     act: CostValue | None = None
     observe: CostValue | None = None
     choose: CostValue | None = None
     learn: CostValue | None = None
+    order: CostValue | None = None
 
 
 class SupervisionTable(Table):
