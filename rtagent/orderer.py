@@ -1,7 +1,6 @@
 """An agent that learns its own ordering: a chooser that learns which component comes next (thesis, 6.3.1).
 
-Semi-Markov SARSA(λ) over a table: a decision lasts as long as what was decided takes, and the task's reward of that
-time is its reward (Bradtke and Duff, 1995). What it may decide at all is not learned: see `Orderer.allowed`.
+What it may decide at all is not learned: see `Orderer.allowed`.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
-from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning import Sarsa
+from rtagent.experience import FloatArray
 from rtagent.ordering import Ordering
 from rtagent.policy import EpsilonGreedy
 from rtagent.saving import Saved, restore_fields, save_fields
@@ -39,11 +38,13 @@ COMPONENTS: dict[Option, Order] = {
     Option.LEARN: (LEARN,),
     Option.WAIT: (WAIT,),
 }
+LASTING = (Option.LEARN, Option.WAIT)
+"""What goes on, slice after slice, until what the decision went by has changed."""
 ENDS_CYCLE = (Option.ACT, Option.WAIT)
 
 
 class Sight(IntEnum):
-    """What there is to see: nothing new, a newer sample, an observation not chosen from, one that differs too."""
+    """What there is to see: nothing new, an observation not chosen from, a newer sample, a change not chosen from."""
 
     NOTHING = 0
     OBSERVED = 1
@@ -83,6 +84,59 @@ class Surroundings(Situation, Protocol):
         """Whether an observation would tell anything newer without waiting for it."""
 
 
+class OptionValues:
+    """Semi-Markov SARSA(λ), linear in binned features, with replacing traces.
+
+    A decision lasts as long as what was decided takes (Bradtke and Duff, 1995), so γ and λ are for each second. A
+    state, a tuple of `bins`, has one feature for each of its bins and one for all of them together. Each has a weight
+    for every option, and one that all options share: what makes a state good or bad whatever is done is learned
+    once, and moves the values of options that were not tried lately too.
+    """
+
+    def __init__(self, shape: Sequence[int], options: int, alpha: float, gamma: float, lambda_: float) -> None:
+        self._alpha, self._gamma, self._lambda = alpha / (2 * (len(shape) + 1)), gamma, lambda_
+        self._shape, self._options = tuple(shape), options
+        self._features = _features(self._shape)
+        self.weights: FloatArray = np.zeros((int(self._features.max()) + 1, options + 1))
+        self._trace: FloatArray = np.zeros_like(self.weights)
+
+    def of(self, state: int) -> FloatArray:
+        """Return the values of a state's options, shape (options,)."""
+        summed = self.weights[self._features[state]].sum(axis=0)
+        values: FloatArray = summed[:-1] + summed[-1]
+        return values
+
+    def update(self, state: int, option: int, reward: float, elapsed: int, following: float) -> float:
+        """Learn from a decision that lasted `elapsed` (ns), after which come values of `following`; return δ."""
+        seconds, features = elapsed / 1e9, self._features[state]
+        gamma = self._gamma**seconds
+        delta = reward + gamma * following - float(self.of(state)[option])
+        self._trace[features, option] = self._trace[features, -1] = 1.0
+        self.weights += self._alpha * delta * self._trace
+        self._trace *= gamma * self._lambda**seconds
+        return delta
+
+    def cut(self) -> None:
+        """Reset the traces: an episode is over."""
+        self._trace[:] = 0.0
+
+    def save(self) -> Saved:
+        """Return the state; see `rtagent.saving`."""
+        return save_fields(self, ("weights", "_trace"))
+
+    def restore(self, saved: Saved) -> None:
+        """Take a saved state."""
+        restore_fields(self, ("weights", "_trace"), saved)
+
+
+def _features(shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return the features of every state, shape (states, len(shape) + 1)."""
+    bins = np.stack(np.unravel_index(np.arange(prod(shape)), shape), axis=1)
+    starts = np.cumsum([0, *shape])
+    together = starts[-1] + np.arange(prod(shape))
+    return np.column_stack([starts[:-1] + bins, together])
+
+
 KEPT = ("_state", "_option", "_decided_at", "_rewarded", "_acted_at")
 """What is saved of an episode as it is."""
 
@@ -96,25 +150,11 @@ class Orderer:
         self._bounds: tuple[Sequence[float], ...] = (*gauges, ordering.queue, ordering.age)
         self.shape = (*(len(bounds) + 1 for bounds in self._bounds), len(Sight))
         """How many bins there are of each gauge of urgency, of queue, age, and what there is to see."""
-        size = prod(self.shape)
-        self._features = [FeatureVector(np.array([place])) for place in range(size)]
-        self._sarsa = Sarsa(
-            size=size,
-            actions=len(Option),
-            alpha=ordering.alpha,
-            gamma=ordering.gamma,
-            gamma_per="second",
-            lambda_=self._lambda,
-            trace="replacing",
-            initial=ordering.initial,
+        self.values = OptionValues(
+            self.shape, len(Option), ordering.alpha, ordering.gamma, ordering.lambda_
         )
         self._policy = EpsilonGreedy(epsilon=ordering.epsilon)
         self.begin(0)
-
-    @property
-    def values(self) -> FloatArray:
-        """A copy of what it has learned, shape (options, *shape)."""
-        return self._sarsa.weights.reshape(len(Option), *self.shape)
 
     def begin(self, now: int) -> None:
         """Begin an episode at `now` (ns)."""
@@ -133,11 +173,12 @@ class Orderer:
                 return
 
     def decide(self, situation: Surroundings) -> Option:
-        """Choose what comes next, and learn from what came of the last decision."""
+        """Say what comes next: what goes on, or, where something has changed, what is chosen and learned from."""
         state, allowed = self.place(situation), self.allowed(situation)
+        if state == self._state and self._option in LASTING and self._option in allowed:
+            return Option(self._option)
         option = self._choose(state, allowed)
-        if self._option >= 0:
-            self._learn(situation, state, option)
+        self._learn(situation, self._following(state, option))
         self._state, self._option = state, option
         self._decided_at, self._rewarded = situation.time, situation.reward
         if option is Option.ACT:
@@ -145,19 +186,15 @@ class Orderer:
         return option
 
     def end(self, situation: Surroundings, *, terminated: bool) -> None:
-        """Learn from the last decision of an episode; where it was cut short, its return goes on."""
-        if self._option < 0:
-            return
-        state = self.place(situation)
-        option = Option.OBSERVE if terminated else self._choose(state, self.allowed(situation))
-        self._learn(situation, state, option, terminated=terminated, truncated=not terminated)
+        """Learn from the last decision of an episode; where that was cut short, its return goes on."""
+        self._learn(situation, 0.0 if terminated else float(self.values.of(self.place(situation)).max()))
+        self.values.cut()
         self._option = -1
 
     def place(self, situation: Surroundings) -> int:
         """Return the number of the bin, of all together, that a situation falls into."""
-        age = situation.time - situation.observed_at
+        gauged = (*situation.urgency, situation.queue_length, situation.time - situation.observed_at)
         place = 0
-        gauged = (*situation.urgency, situation.queue_length, age)
         for bounds, value in zip(self._bounds, gauged, strict=True):
             place = place * (len(bounds) + 1) + bisect_right(bounds, value)
         return place * len(Sight) + _sight(situation)
@@ -175,39 +212,32 @@ class Orderer:
 
     def save(self) -> Saved:
         """Return what it has learned, and where it is."""
-        return save_fields(self, KEPT) | {"sarsa": self._sarsa.save(), "rng": save_stream(self.rng)}
+        return save_fields(self, KEPT) | {"values": self.values.save(), "rng": save_stream(self.rng)}
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned; raise `SpecError` where it was of other bins."""
-        self._sarsa.restore(saved["sarsa"])
+        self.values.restore(saved["values"])
         self.rng = restored_stream(saved["rng"])
         restore_fields(self, KEPT, saved)
 
     def _choose(self, state: int, allowed: tuple[Option, ...]) -> Option:
         if len(allowed) == 1:
             return allowed[0]
-        values = self._sarsa.action_values(self._features[state])[list(allowed)]
+        import os
+        C=float(os.environ.get('C','20'))
+        if not hasattr(self,'n'): self.n=np.zeros(prod(self.shape))
+        self.n[state]+=1
+        self._policy.epsilon=max(self.ordering.epsilon, C/(C+self.n[state]))
+        values = self.values.of(state)[list(allowed)]
         return allowed[self._policy.choose(values, self.rng)[0]]
 
-    def _learn(
-        self, situation: Surroundings, state: int, option: Option, *, terminated: bool = False, truncated: bool = False
-    ) -> None:
-        self._sarsa.update(
-            Transition(
-                self._features[self._state],
-                self._option,
-                1.0,
-                situation.reward - self._rewarded,
-                self._features[state],
-                option,
-                situation.time - self._decided_at,
-                terminated,
-                truncated,
-            )
-        )
+    def _following(self, state: int, option: Option) -> float:
+        return float(self.values.of(state)[option])
 
-    def _lambda(self, transition: Transition) -> float:
-        return self.ordering.lambda_ ** (transition.elapsed / 1e9)
+    def _learn(self, situation: Surroundings, following: float) -> None:
+        if self._option >= 0:
+            reward, elapsed = situation.reward - self._rewarded, situation.time - self._decided_at
+            self.values.update(self._state, self._option, reward, elapsed, following)
 
 
 def _sight(situation: Surroundings) -> Sight:

@@ -43,8 +43,7 @@ class Ordering:
     """Which component comes next is chosen ε-greedily by SARSA(λ) over bins, rewarded by the task; times are in ns.
 
     It goes by how urgent the newest observation is (as each of `urgency` says), how many transitions wait (parted at
-    `queue`), how old that observation is (at `age`), and what there is to see. `gamma` and `lambda_` are for each second, `initial` is the
-    value that everything has before it was tried. A wait lasts for `wait` at most. Whatever it has learned, it
+    `queue`), how old that observation is (at `age`), and what there is to see. `gamma` and `lambda_` are for each second. A wait lasts for `wait` at most. Whatever it has learned, it
     observes after `look_within` and chooses and acts after `act_within` at the latest.
     """
 
@@ -57,7 +56,6 @@ class Ordering:
     gamma: float = 0.5
     lambda_: float = 0.1
     epsilon: float = 0.05
-    initial: float = 0.0
     wait: Duration = 5 * ms
     look_within: Duration = 100 * ms
     act_within: Duration = second
