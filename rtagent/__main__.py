@@ -36,6 +36,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_run(commands)
     _add_check(commands)
+    _add_sweep(commands)
+    _add_reproduce(commands)
     _add_list(commands)
     _add_stop(commands)
     _add_watch(commands)
@@ -72,6 +74,46 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
     _add_set(run)
     run.set_defaults(command=_run)
+
+
+def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    sweep = commands.add_parser(
+        "sweep", help="run a scenario with many values of some keys; a table of the results", epilog=EPILOG
+    )
+    sweep.add_argument("scenario")
+    sweep.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        metavar="KEY=A,B",
+        help="run it with each of these values, such as schedule.preset=standard,reactive (may be repeated)",
+    )
+    sweep.add_argument("--trials", type=int, dest="runs", metavar="N", help="each combination with so many seeds")
+    sweep.add_argument("--clock", choices=("real", "virtual"), help="run in real time, or as fast as it goes")
+    sweep.add_argument("--out", metavar="FILE", help="the table, .csv or .parquet, in place of NAME.csv")
+    _add_jobs(sweep)
+    _add_data(sweep)
+    _add_fake(sweep)
+    sweep.add_argument("--quiet", action="store_true", help="print nothing but errors, and where the results are")
+    _add_set(sweep)
+    sweep.set_defaults(command=_sweep)
+
+
+def _add_reproduce(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    reproduce = commands.add_parser("reproduce", help="do experiments of the thesis, and report what was found")
+    reproduce.add_argument("names", nargs="*", metavar="NAME", help="experiments, or all; without any, list them")
+    reproduce.add_argument("--quick", action="store_true", help="smaller: all of them in some minutes")
+    reproduce.add_argument("--out", default="report", metavar="FOLDER", help="the report, in place of report")
+    reproduce.add_argument("--data", metavar="FILE", help="a recording of your own, for experiments that take one")
+    _add_jobs(reproduce)
+    reproduce.set_defaults(command=_reproduce)
+
+
+def _add_jobs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--jobs", type=int, metavar="N", help="so many at a time, each in a process of its own")
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS", help="on the Dask cluster whose scheduler is at tcp://host:port"
+    )
 
 
 def _add_check(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -216,6 +258,18 @@ def _run(arguments: argparse.Namespace) -> int:
     from rtagent.commands.run import run_command
 
     return run_command(arguments)
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.sweep import sweep_command
+
+    return sweep_command(arguments)
+
+
+def _reproduce(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.reproduce import reproduce_command
+
+    return reproduce_command(arguments)
 
 
 def _check(arguments: argparse.Namespace) -> int:

@@ -65,6 +65,10 @@ class ScenarioError(RtagentError, ValueError):
         self.problems = problems
 
 
+class SweepError(RtagentError):
+    """A sweep that cannot be done, or in which cells could not be measured; what was measured is kept."""
+
+
 class UndecidedError(RtagentError):
     """What was measured does not say whether a limit is kept."""
 

@@ -38,6 +38,11 @@ class RunError(RtagentError):
         super().__init__(message)
         self.result = result
 
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody stopped it, by a signal, a key or `rtagent stop`."""
+        return any(fault.fatal and fault.source == "stop" for fault in self.result.faults)
+
 
 @dataclass(frozen=True)
 class Learning:

@@ -81,6 +81,9 @@ class Experiment:
     `cells` lists all that is to be measured, `measure`, a function of a module, measures one in some process,
     and `find` is given the cells with their rows, in the order of the cells. `seconds` estimates how long one
     processor needs for a cell. `models` says what its simulated devices model, and what they do not.
+
+    `alone`: what it measures are times, so that nothing else is measured meanwhile. `on_demand`: it is done where
+    it is named, and is no part of all.
     """
 
     name: str
@@ -91,3 +94,5 @@ class Experiment:
     find: Callable[[Sequence[tuple[Cell, Row]], Options], Findings]
     seconds: Callable[[Cell], float]
     models: tuple[str, ...] = field(default=())
+    alone: bool = False
+    on_demand: bool = False

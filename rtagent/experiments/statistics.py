@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from rtagent.experiments.experiment import Verdict
 
 DRAWN = 2000
 LEVEL = 0.95
@@ -29,8 +31,7 @@ class Interval:
 def interval(values: ArrayLike, statistic: Statistic = np.mean) -> Interval:
     """Return a statistic of values, one a seed, with its bootstrap interval (percentiles of 2,000 samples)."""
     given = np.asarray(values, float)
-    drawn = np.random.default_rng(0).choice(given, (DRAWN, len(given)))
-    return _between(float(statistic(given)), np.array([statistic(sample) for sample in drawn]))
+    return _between(float(statistic(given)), _drawn(given, statistic, np.random.default_rng(0)))
 
 
 def compared(
@@ -42,9 +43,34 @@ def compared(
     """Return how a statistic of one group is to that of another (a difference, a ratio), with its interval."""
     first, second = np.asarray(ours, float), np.asarray(others, float)
     rng = np.random.default_rng(0)
-    pairs = [(rng.choice(first, len(first)), rng.choice(second, len(second))) for _ in range(DRAWN)]
-    drawn = np.array([how(float(statistic(a)), float(statistic(b))) for a, b in pairs])
+    pairs = zip(_drawn(first, statistic, rng), _drawn(second, statistic, rng), strict=True)
+    drawn = np.array([how(float(a), float(b)) for a, b in pairs])
     return _between(how(float(statistic(first)), float(statistic(second))), drawn)
+
+
+def _drawn(given: NDArray[np.float64], statistic: Statistic, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a statistic of samples that are drawn from values, with replacement."""
+    samples = rng.choice(given, (DRAWN, len(given)))
+    if statistic in (np.mean, np.median):
+        found: NDArray[np.float64] = np.asarray(statistic(samples, axis=1))
+        return found
+    return np.array([statistic(sample) for sample in samples])
+
+
+def paired(ours: ArrayLike, others: ArrayLike, statistic: Statistic = np.mean) -> Interval:
+    """Return a statistic of the differences, seed by seed, of two groups that met the same worlds."""
+    return interval(np.subtract(ours, others), statistic)
+
+
+def pooled(
+    pairs: Sequence[tuple[Sequence[float], Sequence[float]]],
+    how: Callable[[NDArray[np.float64], NDArray[np.float64]], float],
+) -> Interval:
+    """Return how one group is to the other in the mean over several pairs of groups, with its interval."""
+    given = [(np.asarray(first, float), np.asarray(second, float)) for first, second in pairs]
+    rng = np.random.default_rng(0)
+    drawn = [np.mean([how(rng.choice(a, len(a)), rng.choice(b, len(b))) for a, b in given]) for _ in range(DRAWN)]
+    return _between(float(np.mean([how(a, b) for a, b in given])), np.array(drawn))
 
 
 def _between(middle: float, drawn: NDArray[np.float64]) -> Interval:
@@ -58,3 +84,30 @@ def cohens_d(ours: ArrayLike, others: ArrayLike) -> float:
     a, b = len(first) - 1, len(second) - 1
     pooled = np.sqrt((a * first.var(ddof=1) + b * second.var(ddof=1)) / (a + b))
     return float((first.mean() - second.mean()) / pooled)
+
+
+def within(found: Interval, low: float, high: float) -> Verdict:
+    """Return whether all of an interval lies from `low` to `high`, or nothing of it; undecided where some does."""
+    if low <= found.low and found.high <= high:
+        return Verdict.REPRODUCED
+    outside = found.high < low or found.low > high
+    return Verdict.NOT_REPRODUCED if outside else Verdict.UNDECIDED
+
+
+def above(found: Interval, bound: float = 0.0) -> Verdict:
+    """Return whether all of an interval lies above a bound, or nothing of it; undecided where some does."""
+    if found.low > bound:
+        return Verdict.REPRODUCED
+    return Verdict.NOT_REPRODUCED if found.high <= bound else Verdict.UNDECIDED
+
+
+def below(found: Interval, bound: float = 0.0) -> Verdict:
+    """Return whether all of an interval lies below a bound, or nothing of it; undecided where some does."""
+    return above(Interval(-found.high, -found.middle, -found.low), -bound)
+
+
+def all_of(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the verdict on a claim of which each is a part: reproduced where all are."""
+    given = set(verdicts)
+    order = (Verdict.NOT_REPRODUCED, Verdict.UNDECIDED, Verdict.DIFFERS)
+    return next((verdict for verdict in order if verdict in given), Verdict.REPRODUCED)

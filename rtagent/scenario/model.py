@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from rtagent.errors import did_you_mean
 from rtagent.events import Event
@@ -252,6 +252,36 @@ class DeviceTable(PluginTable):
     supervision: SupervisionTable = Field(default_factory=SupervisionTable)
 
 
+def _lists_by_key(table: Any) -> Any:
+    """Let keys be written as `schedule.preset` or as `"schedule.preset"`: both name one list."""
+    if not isinstance(table, dict):
+        return table
+    lists: dict[str, Any] = {}
+    for key, value in table.items():
+        inner = _lists_by_key(value)
+        lists |= (
+            {f"{key}.{rest}": each for rest, each in inner.items()} if isinstance(value, dict) else {key: value}
+        )
+    return lists
+
+
+_LISTS = {"additionalProperties": {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}}
+ListsByKey = Annotated[
+    dict[str, Annotated[list[Any], Field(min_length=1)]],
+    BeforeValidator(_lists_by_key),
+    WithJsonSchema({"type": "object", **_LISTS}),
+]
+
+
+class SweepTable(Table):
+    """What `rtagent sweep` runs: every combination of the values of some keys, several times."""
+
+    trials: int = Field(1, ge=1, description="each combination so many times, with seeds from run.seed on")
+    over: ListsByKey = Field(
+        default_factory=dict, description="keys of the scenario, each with the list of its values"
+    )
+
+
 class ScenarioModel(Table):
     """A whole scenario."""
 
@@ -272,6 +302,7 @@ class ScenarioModel(Table):
     stop: StopTable = Field(default_factory=StopTable)
     watchdog: WatchdogTable = Field(default_factory=WatchdogTable)
     telemetry: TelemetryTable = Field(default_factory=TelemetryTable)
+    sweep: SweepTable | None = None
 
     @property
     def published(self) -> bool:
