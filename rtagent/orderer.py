@@ -8,7 +8,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
-from math import prod
+from math import isfinite, prod
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rtagent.experience import FloatArray
 from rtagent.ordering import Ordering
-from rtagent.policy import EpsilonGreedy
 from rtagent.saving import Saved, restore_fields, save_fields
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, ORDER, WAIT, Component, Order, Situation
 from rtagent.streams import restored_stream, save_stream
@@ -44,7 +43,7 @@ ENDS_CYCLE = (Option.ACT, Option.WAIT)
 
 
 class Sight(IntEnum):
-    """What there is to see: nothing new, an observation not chosen from, a newer sample, a change not chosen from."""
+    """What there is to see: nothing new, an observation to choose from, a newer sample, a change to choose from."""
 
     NOTHING = 0
     OBSERVED = 1
@@ -87,10 +86,10 @@ class Surroundings(Situation, Protocol):
 class OptionValues:
     """Semi-Markov SARSA(λ), linear in binned features, with replacing traces.
 
-    A decision lasts as long as what was decided takes (Bradtke and Duff, 1995), so γ and λ are for each second. A
-    state, a tuple of `bins`, has one feature for each of its bins and one for all of them together. Each has a weight
-    for every option, and one that all options share: what makes a state good or bad whatever is done is learned
-    once, and moves the values of options that were not tried lately too.
+    A decision lasts as long as what was decided takes (Bradtke and Duff, 1995), so γ is for each second, and λ for
+    each decision. A state, a bin of each axis of `shape`, has one feature for each of its bins and one for all of
+    them together. Each has a weight for every option, and one that all options share: what makes a state good or
+    bad whatever is done is learned once, and moves the values of options that were not tried lately too.
     """
 
     def __init__(self, shape: Sequence[int], options: int, alpha: float, gamma: float, lambda_: float) -> None:
@@ -107,13 +106,17 @@ class OptionValues:
         return values
 
     def update(self, state: int, option: int, reward: float, elapsed: int, following: float) -> float:
-        """Learn from a decision that lasted `elapsed` (ns), after which come values of `following`; return δ."""
-        seconds, features = elapsed / 1e9, self._features[state]
-        gamma = self._gamma**seconds
-        delta = reward + gamma * following - float(self.of(state)[option])
+        """Learn from a decision that lasted `elapsed` (ns), `following` being the next one's value; return δ.
+
+        Nothing is learned where that is not finite.
+        """
+        features, gamma = self._features[state], self._gamma ** (elapsed / 1e9)
+        delta: float = reward + gamma * following - float(self.of(state)[option])
+        if not isfinite(delta):
+            return delta
         self._trace[features, option] = self._trace[features, -1] = 1.0
         self.weights += self._alpha * delta * self._trace
-        self._trace *= gamma * self._lambda**seconds
+        self._trace *= gamma * self._lambda
         return delta
 
     def cut(self) -> None:
@@ -150,10 +153,8 @@ class Orderer:
         self._bounds: tuple[Sequence[float], ...] = (*gauges, ordering.queue, ordering.age)
         self.shape = (*(len(bounds) + 1 for bounds in self._bounds), len(Sight))
         """How many bins there are of each gauge of urgency, of queue, age, and what there is to see."""
-        self.values = OptionValues(
-            self.shape, len(Option), ordering.alpha, ordering.gamma, ordering.lambda_
-        )
-        self._policy = EpsilonGreedy(epsilon=ordering.epsilon)
+        self.values = OptionValues(self.shape, len(Option), ordering.alpha, ordering.gamma, ordering.lambda_)
+        self._visits = np.zeros(prod(self.shape), np.int64)
         self.begin(0)
 
     def begin(self, now: int) -> None:
@@ -200,36 +201,43 @@ class Orderer:
         return place * len(Sight) + _sight(situation)
 
     def allowed(self, situation: Surroundings) -> tuple[Option, ...]:
-        """Return what may be decided; what is overdue leaves no choice."""
+        """Return what may be decided; what is overdue, or did not reach the devices, leaves no choice."""
         now, rules = situation.time, self.ordering
-        fresh = situation.fresh
-        if now - self._acted_at >= rules.act_within:
-            return (Option.ACT,) if fresh else (Option.OBSERVE,)
-        if not situation.has_observed or now - situation.observed_at >= rules.look_within:
+        fresh, observable = situation.fresh, situation.observable
+        act_is_due = situation.action_pending or now - self._acted_at >= rules.act_within
+        if not situation.has_observed:
             return (Option.OBSERVE,)
-        possible = (situation.observable, fresh, situation.queue_length > 0, not situation.news)
+        if act_is_due and fresh:
+            return (Option.ACT,)
+        if observable and (act_is_due or now - situation.observed_at >= rules.look_within):
+            return (Option.OBSERVE,)
+        possible = (observable, fresh, situation.queue_length > 0, not situation.news)
         return tuple(option for option in Option if possible[option]) or (Option.OBSERVE,)
 
     def save(self) -> Saved:
         """Return what it has learned, and where it is."""
-        return save_fields(self, KEPT) | {"values": self.values.save(), "rng": save_stream(self.rng)}
+        kept = save_fields(self, (*KEPT, "_visits"))
+        return kept | {"values": self.values.save(), "rng": save_stream(self.rng)}
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned; raise `SpecError` where it was of other bins."""
         self.values.restore(saved["values"])
         self.rng = restored_stream(saved["rng"])
-        restore_fields(self, KEPT, saved)
+        restore_fields(self, (*KEPT, "_visits"), saved)
 
     def _choose(self, state: int, allowed: tuple[Option, ...]) -> Option:
         if len(allowed) == 1:
             return allowed[0]
-        import os
-        C=float(os.environ.get('C','20'))
-        if not hasattr(self,'n'): self.n=np.zeros(prod(self.shape))
-        self.n[state]+=1
-        self._policy.epsilon=max(self.ordering.epsilon, C/(C+self.n[state]))
-        values = self.values.of(state)[list(allowed)]
-        return allowed[self._policy.choose(values, self.rng)[0]]
+        if self.rng.random() < self._epsilon(state):
+            return allowed[int(self.rng.integers(len(allowed)))]
+        values = self.values.of(state).tolist()
+        return max(allowed, key=values.__getitem__)
+
+    def _epsilon(self, state: int) -> float:
+        """Return with which probability it explores, less in a state that it knows (Singh and others, 2000)."""
+        self._visits[state] += 1
+        begin = self.ordering.explored
+        return max(self.ordering.epsilon, begin / (begin + float(self._visits[state])))
 
     def _following(self, state: int, option: Option) -> float:
         return float(self.values.of(state)[option])

@@ -40,11 +40,14 @@ class Gauge:
 
 @dataclass(frozen=True)
 class Ordering:
-    """Which component comes next is chosen ε-greedily by SARSA(λ) over bins, rewarded by the task; times are in ns.
+    """Which component comes next is learned by SARSA(λ) over bins, rewarded by the task; times are in ns.
 
-    It goes by how urgent the newest observation is (as each of `urgency` says), how many transitions wait (parted at
-    `queue`), how old that observation is (at `age`), and what there is to see. `gamma` and `lambda_` are for each second. A wait lasts for `wait` at most. Whatever it has learned, it
-    observes after `look_within` and chooses and acts after `act_within` at the latest.
+    It goes by how urgent the newest observation is (as each of `urgency` says), how many transitions wait (parted
+    at `queue`), how old that observation is (at `age`), and what there is to see. `alpha` is the step size of all
+    active features together, `gamma` is for each second, `lambda_` for each decision. In a state of so many visits
+    it explores with probability n/(n + visits), n being `explored`, and never with less than `epsilon`. A wait
+    lasts for `wait` at most. Whatever it has learned, it observes after `look_within`, and chooses and acts after
+    `act_within`, at the latest.
     """
 
     __pydantic_config__: ClassVar = CLOSED
@@ -52,10 +55,11 @@ class Ordering:
     urgency: tuple[Gauge, ...] = (Gauge(),)
     queue: tuple[int, ...] = (1, 4, 16)
     age: tuple[Duration, ...] = (5 * ms, 20 * ms)
-    alpha: float = 0.1
-    gamma: float = 0.5
-    lambda_: float = 0.1
-    epsilon: float = 0.05
+    alpha: float = 0.2
+    gamma: float = 0.1
+    lambda_: float = 0.8
+    epsilon: float = 0.003
+    explored: float = 20.0
     wait: Duration = 5 * ms
     look_within: Duration = 100 * ms
     act_within: Duration = second
@@ -69,5 +73,6 @@ class Ordering:
         for name in ("gamma", "lambda_", "epsilon"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ScheduleError(f"schedule.ordering.{name} is {getattr(self, name)}: give 0 to 1.")
-        if not self.alpha > 0.0:
-            raise ScheduleError(f"schedule.ordering.alpha is {self.alpha}: give a step size above 0.")
+        for name in ("alpha", "explored"):
+            if not getattr(self, name) > 0.0:
+                raise ScheduleError(f"schedule.ordering.{name} is {getattr(self, name)}: give a number above 0.")

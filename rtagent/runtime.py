@@ -6,7 +6,7 @@ This is the only module that awaits components.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from numpy.random import Generator as RandomGenerator
@@ -34,7 +34,7 @@ from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
 from rtagent.urgency import Outlook, Urgency
 
-EPISODE = ("_changed", "_latest", "_last_step")
+EPISODE = ("_changed", "_latest", "_last_step", "urgency")
 """What is saved of an episode as it is."""
 
 
@@ -177,11 +177,6 @@ class Runtime:
         return self._episode.total_reward
 
     @property
-    def urgency(self) -> Sequence[float]:
-        """How urgent the newest observation is, as each gauge says."""
-        return self._outlook()
-
-    @property
     def has_observed(self) -> bool:
         """Whether the episode has had an observation."""
         return self._agent.newest_features is not None
@@ -205,8 +200,8 @@ class Runtime:
     @property
     def observable(self) -> bool:
         """Whether an observation would tell anything newer without waiting for it."""
-        passed = self._now() > self._newest() or self._agent.step_is_open
-        return (passed and self._senses.as_of_now) or self.news
+        passed = self._senses.as_of_now and self._now() > self._newest()
+        return passed or self._agent.step_is_open or self.news
 
     # The main path
 
@@ -259,7 +254,9 @@ class Runtime:
         self._last_step = (self._limits.episode_steps or NEVER) - 1
         if self._idling:
             self._idling.begin(now)
+        self.urgency: tuple[float, ...] = ()
         if self.orderer is not None:
+            self.urgency = (0.0,) * len(self.orderer.ordering.urgency)
             self.orderer.begin(now)
         self._pacer: Pacer | None = None
         self._hooks.call("episode_began", trial, episode, now)
@@ -306,6 +303,8 @@ class Runtime:
         self._episode.ended = now
         if self._agent.observe(outcome, now) is not None:
             self._episode.steps += 1
+        if self.orderer is not None:
+            self.urgency = self._outlook()
         if stimuli:
             self._reactions.observed(stimuli, now)
         if self._costs:
@@ -422,7 +421,8 @@ class Runtime:
     def restore_episode(self, saved: Saved) -> None:
         """Take what `save_episode` returned."""
         self._over = False
-        self._changed, self._latest, self._last_step = (saved[name] for name in EPISODE)
+        self._changed, self._latest, self._last_step, urgency = (saved[name] for name in EPISODE)
+        self.urgency = tuple(urgency)
         self._task.restore(saved["task"])  # type: ignore[attr-defined]  # what could be saved can be restored
         self._reactions.restore(saved["reactions"], self._episode.reactions)
         if self._idling is not None:

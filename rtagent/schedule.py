@@ -184,7 +184,7 @@ def parse_order(order: Iterable[str]) -> Order:
     """Return components for their names; raise `ScheduleError` for a name that is none."""
     for name in (parsed := tuple(order)):
         if name not in LISTED:
-            raise ScheduleError(f"{name!r} is no component of an order, which holds act, observe, choose and learn.")
+            raise ScheduleError(f"{str(name)!r} has no place in an order: it holds act, observe, choose and learn.")
     return tuple(Component(name) for name in parsed)
 
 

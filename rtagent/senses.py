@@ -32,6 +32,8 @@ class Senses:
         """Whether a cycle always waits for its time, or for a sample that comes by itself."""
         self.synchronous = any(device.device.spec.synchronous for device in devices)
         """Whether something is new only after an act."""
+        self.as_of_now = any(device.as_of_now and not device.device.spec.synchronous for device in devices)
+        """Whether an observation tells more once time has passed."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
@@ -93,11 +95,6 @@ class Senses:
         for device in self._devices:
             device.watch()
 
-    @property
-    def as_of_now(self) -> bool:
-        """Whether a device is read as of now, so that an observation tells more once time has passed."""
-        return any(device.as_of_now for device in self._devices)
-
     def news(self) -> bool:
         """Say whether there is something new to observe."""
         now = self._now()
@@ -107,7 +104,10 @@ class Senses:
         return False
 
     async def wait_for_news(self, other: asyncio.Future[None], at_most: int | None = None) -> None:
-        """Wait until there is something new to observe, or `other` is done; `at_most` (ns) as long as observing may."""
+        """Wait until there is something new to observe, or `other` is done.
+
+        It lasts for `at_most` (ns), without that for as long as observing may.
+        """
         watches: set[asyncio.Future[Any]] = {other}
         watches |= {watch for device in self._devices if (watch := device.watch()) is not None}
         now = self._now()

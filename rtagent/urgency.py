@@ -59,11 +59,9 @@ class Outlook:
         self._task = task if isinstance(task, Urging) else None
         self._asked = [self._ask(gauge) for gauge in gauges]
 
-    def __call__(self) -> Sequence[float]:
-        """Return them; all are 0 before the first observation of an episode."""
-        if self._agent.newest_features is None:
-            return (0.0,) * len(self._asked)
-        return [ask() for ask in self._asked]
+    def __call__(self) -> tuple[float, ...]:
+        """Return them; there must be an observation."""
+        return tuple(ask() for ask in self._asked)
 
     def _ask(self, gauge: Gauge) -> Callable[[], float]:
         if gauge.prediction:
@@ -81,9 +79,7 @@ class Outlook:
         return float(self._task is not None and self._task.urgent(self._senses.observed()))
 
 
-def check_urgency(
-    schedule: Schedule, task: Task, learner: object, devices: Mapping[str, DeviceSpec]
-) -> None:
+def check_urgency(schedule: Schedule, task: Task, learner: object, devices: Mapping[str, DeviceSpec]) -> None:
     """Raise `ScheduleError` where learning waits for calm and nothing says what is urgent, or a name is unknown."""
     condition, gauges = schedule.learn.urgent, schedule.ordering.urgency if schedule.ordering else ()
     if condition is None and schedule.learn.when is When.CALM and not isinstance(task, Urging):

@@ -338,9 +338,7 @@ def _watchdog(scenario: Scenario) -> Watchdog:
 
 def _costs(scenario: Scenario) -> Costs:
     tables = {Component(name): table for name, table in scenario.model.costs if table is not None}
-    return {
-        component: Cost(table.low, table.high, table.distribution) for component, table in tables.items()
-    }
+    return {component: Cost(table.low, table.high, table.distribution) for component, table in tables.items()}
 
 
 def _plan(scenario: Scenario, devices: Mapping[str, Device]) -> Plan:
