@@ -56,6 +56,8 @@ PRESETS: dict[str, Preset] = {
     "background": Preset(REACTIVE, Learn(where=Where.THREAD), "learns on a thread of its own"),
     "learned": Preset(REACTIVE, Learn(slice=2 * ms), "learns which of them comes next", Ordering()),
 }
+FIXED = tuple(name for name, preset in PRESETS.items() if preset.ordering is None)
+"""The presets that do the same in every cycle."""
 
 
 class Situation(Protocol):

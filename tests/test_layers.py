@@ -24,8 +24,8 @@ LAYERS = [
         "latched", "living", "watchdog",
     },
     {
-        "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime", "orderer",
-        "result", "keeping", "lifecycle", "shutdown", "protection",
+        "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime",
+        "orderer", "result", "keeping", "lifecycle", "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

@@ -33,7 +33,7 @@ from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.model import InputTable
 from rtagent.scenario.patience import check_tolerance, check_watchdog
 from rtagent.scenario.source import KeyPath
-from rtagent.schedule import PRESETS, Component, Order, Schedule
+from rtagent.schedule import PRESETS, Component, Order, Schedule, parse_order
 from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
@@ -304,7 +304,7 @@ def _schedule(scenario: Scenario) -> Schedule:
         name: getattr(table, name) for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
     }
     if table.preset is None:
-        return Schedule(tuple(table.order or ()), **settings)
+        return Schedule(parse_order(table.order or ()), **settings)
     if table.ordering is not None and PRESETS[table.preset].ordering is not None:
         settings["ordering"] = table.ordering
     return Schedule.preset(table.preset, **settings)

@@ -13,8 +13,8 @@ from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
 from rtagent.ordering import Ordering
-from rtagent.schedule import PRESETS, Component, Overrun, Wait
-from rtagent.units import Duration, ms, us
+from rtagent.schedule import PRESETS, Overrun, Wait
+from rtagent.units import TIME, Duration, ms, us
 
 
 class Table(BaseModel):
@@ -37,11 +37,14 @@ class RunTable(Table):
     episode_steps: int = Field(0, ge=0, description="an episode is truncated after so many steps; 0: never")
 
 
+Listed = Literal["act", "observe", "choose", "learn"]
+
+
 class ScheduleTable(Table):
     """In which order the components run, and how the cycle is paced."""
 
     preset: str | None = Field(None, description="the order by its name: " + ", ".join(PRESETS))
-    order: list[Component] | None = Field(None, description="the order as a list, in place of a preset")
+    order: list[Listed] | None = Field(None, description="the order as a list, in place of a preset")
     learn_delay: Duration = Field(0, description="simulated cost of learning, for each transition learned")
     period: Duration = Field(0, description="the cycle's period, on absolute deadlines; 0: as fast as it goes")
     overrun: Overrun = Field(Overrun.SKIP, description="after a late cycle: skip missed deadlines or catch up")
@@ -96,7 +99,14 @@ class CostTable(Table):
     high: Duration = Field(0, description="the most, the deviation, or the mean of the exponential")
 
 
-CostValue = Annotated[CostTable, BeforeValidator(_as_table)]
+class _OrTime:
+    """Describes to editors that a table may be written as a single time."""
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), TIME.__get_pydantic_json_schema__(schema, handler)]}
+
+
+CostValue = Annotated[CostTable, BeforeValidator(_as_table), _OrTime()]
 
 
 class CostsTable(Table):
