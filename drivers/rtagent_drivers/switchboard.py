@@ -119,12 +119,13 @@ class SwitchboardWorld:
         return [Stimulus(call.begins, call.kind) for call in self._calls[first:last]]
 
     def next_change(self, now: int) -> int | None:
-        """Return when the next call comes in or rings off, a phase begins or ends, or the lamp goes on."""
+        """Return when a call comes in, rings off or is no traffic any more, a phase begins or ends, or the lamp."""
         self._draw_until(now + TRAFFIC)
         start, end = self._phase(now)
-        place = bisect_right(self._begins, now)
+        place, gone = bisect_right(self._begins, now), bisect_right(self._begins, now - TRAFFIC)
         call = self._ringing(now)
         times = [start - self._traffic.lead, start, end, *self._begins[place : place + 1]]
+        times += [begins + TRAFFIC for begins in self._begins[gone : gone + 1]]
         times += [] if call is None else [call.ends]
         return min(time for time in times if time > now)
 

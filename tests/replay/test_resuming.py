@@ -68,6 +68,8 @@ OTHERS = [
             "task.signals=['arm.elbow_*']",
         ],
     ),
+    ("phases", ["run.episode_time=4s", "learn.queue=2"]),
+    ("phases_stopping", ["run.episodes=2"]),
     ("horde", ["run.episode_time=300ms", "features.prototypes=60", "run.episodes=2", "learner.rupee=true"]),
 ]
 

@@ -37,7 +37,7 @@ def figures(groups: Groups) -> tuple[Figure, ...]:
         Figure(
             "shares",
             "Where the processor's time goes in calm and in urgent phases, under each schedule: means over "
-            f"{count} seeds. What is missing to 1 is waiting for a sample. background learns on a second processor.",
+            f"{count} seeds. The rest is waiting for a sample. background learns on a second processor.",
             partial(_shares, groups),
             (10.0, 4.6),
         ),

@@ -118,7 +118,7 @@ class Ledger(Instrument):
         self._rewards: list[float] = []
         self._ran: dict[str, Counter[str]] = defaultdict(Counter)
         self._lasted: Counter[str] = Counter()
-        self._phase, self._since = "calm", 0
+        self._phase, self._since, self._ended = "calm", 0, 0
 
     def episode_began(self, trial: int, episode: int, time: int) -> None:
         """Begin with a calm phase."""
@@ -136,15 +136,15 @@ class Ledger(Instrument):
 
     def component(self, component: Component, start: int, end: int) -> None:
         """Take how long a component ran."""
-        self._ran[self._phase][component.value] += end - start
+        self._take(component.value, start, end)
 
     def learned_for(self, start: int, end: int, where: Where) -> None:
         """Take how long was learned, in a slice or elsewhere."""
-        self._ran[self._phase]["learn"] += end - start
+        self._take("learn", start, end)
 
     def episode_ended(self, record: EpisodeRecord) -> None:
-        """End the last phase."""
-        self._turn("calm", record.ended)
+        """End the last phase, with what was learned at the end of the episode."""
+        self._turn("calm", max(record.ended, self._ended))
 
     def by_parts(self) -> list[float]:
         """Return what was earned in a second, in each part of a run of one episode."""
@@ -159,6 +159,10 @@ class Ledger(Instrument):
             for phase, parts in sorted(self._ran.items())
             if self._lasted[phase]
         }
+
+    def _take(self, component: str, start: int, end: int) -> None:
+        self._ran[self._phase][component] += end - start
+        self._ended = end
 
     def _turn(self, phase: str, now: int) -> None:
         self._lasted[self._phase] += now - self._since
