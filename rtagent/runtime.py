@@ -200,8 +200,10 @@ class Runtime:
     @property
     def observable(self) -> bool:
         """Whether an observation would tell anything newer without waiting for it."""
-        passed = self._senses.as_of_now and self._now() > self._newest()
-        return passed or self._agent.step_is_open or self.news
+        senses, acted = self._senses, self._agent.step_is_open
+        if (senses.synchronous and acted) or (senses.as_of_now and (acted or self._now() > self._newest())):
+            return True
+        return self.news
 
     # The main path
 

@@ -33,7 +33,7 @@ class Senses:
         self.synchronous = any(device.device.spec.synchronous for device in devices)
         """Whether something is new only after an act."""
         self.as_of_now = any(device.as_of_now and not device.device.spec.synchronous for device in devices)
-        """Whether an observation tells more once time has passed."""
+        """Whether an observation tells more once time has passed, without a sample that comes by itself."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
