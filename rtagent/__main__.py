@@ -69,6 +69,10 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--checkpoint", metavar="FILE", help="keep all that the run knows there, to go on from")
     run.add_argument("--resume", action="store_true", help="go on from the checkpoint")
     run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")
+    run.add_argument(
+        "--human", nargs="?", const="", metavar="NAME",
+        help="press the button yourself (scenarios/egg.toml); your figure is written to NAME.png and NAME.svg",
+    )  # fmt: skip
     _add_data(run)
     _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
