@@ -14,6 +14,7 @@ from rtagent.schedule import Component
 from rtagent.units import describe
 
 PARTS = ("sensing", "deciding", "acting")
+AGE = "sample age"
 
 
 @dataclass(frozen=True)
@@ -129,5 +130,15 @@ def times_of(result: Result) -> Mapping[str, Sequence[int]]:
         "response": result.response_times,
         **{component.value: series.values() for component, series in recorder.components.items()},
         "slice": recorder.slices.values(),
-        "sample age": recorder.sample_age.values(),
+        AGE: recorder.sample_age.values(),
+    }
+
+
+def ages_of(result: Result) -> Mapping[str, Sequence[int]]:
+    """Return the ages (ns) at observation of the samples of each device, by "age of" its name."""
+    names, series = list(result.device_counters), result.recorder.sample_age
+    kept = series.values()  # of each observation the age of every device, in their order
+    forgotten = series.count - len(kept)
+    return {
+        f"age of {name}": kept[(place - forgotten) % len(names) :: len(names)] for place, name in enumerate(names)
     }
