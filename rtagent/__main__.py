@@ -193,8 +193,11 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     bench.add_argument("--markdown", metavar="FILE", help="write a summary for a pull request there")
     bench.add_argument("--plot", metavar="FILE", help="draw the comparison there (needs matplotlib)")
     bench.add_argument("--episodes", type=int, metavar="N", help="episodes of each run")
-    bench.add_argument("--rounds", type=int, metavar="N", help="rounds (10; with --against 24)")
+    bench.add_argument("--rounds", type=int, metavar="N", help="rounds (10; with --against 12)")
     bench.add_argument("--processor", type=int, metavar="N", help="where to measure (the last)")
+    bench.add_argument(
+        "--stolen", type=float, default=0.1, metavar="X", help="share that others may have of the processor (0.1)"
+    )
     bench.add_argument("--limit", type=float, metavar="X", help="times as long is allowed (2; with --against 1.1)")
     bench.add_argument("--strict", action="store_true", help="exit with 1 also where something is undecided")
     _add_set(bench)

@@ -17,8 +17,7 @@ from rtagent.latencies.figures import Figures, measured, unmeasured
 from rtagent.latencies.revision import installed
 from rtagent.latencies.rounds import Measure, Rules, floor, interleaved
 
-ROUNDS, BESIDE_ROUNDS = 10, 24
-"""By default: a stored baseline needs few, as it tells only what takes twice as long."""
+ROUNDS, BESIDE_ROUNDS = 10, 12
 
 OUTPUTS = ("save", "markdown", "plot")
 NOTHING_TO_DO = "give a scenario to measure, a baseline with --compare, or --floor."
@@ -129,7 +128,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _rules(arguments: argparse.Namespace) -> Rules:
     rounds = arguments.rounds or (BESIDE_ROUNDS if arguments.against else ROUNDS)
-    return Rules(rounds=rounds, processor=arguments.processor)
+    return Rules(rounds=rounds, processor=arguments.processor, stolen=arguments.stolen)
 
 
 def _tell(line: str) -> None:

@@ -53,6 +53,7 @@ def _draw_ratios(axes: Axes, compared: Compared) -> None:
     axes.axvline(1.0, color="0.8", zorder=0)
     axes.axvline(compared.limit, color="0.4", linestyle="--", zorder=0)
     axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(changes)), [change.what for change in changes])
     axes.set_xlabel(f"times as long as before (dashed: the limit, {compared.limit:g})")
     axes.set_title(compared.title, loc="left", fontsize=10)

@@ -76,7 +76,7 @@ def as_markdown(scenarios: Sequence[Compared]) -> str:
 
 
 def two_histograms(before: Sequence[int], now: Sequence[int]) -> list[str]:
-    """Return histograms of two sets of times (ns) on one scale, as lines of text; each bar is a share of its set."""
+    """Return histograms of two sets of times (ns) on one scale, as lines; a bar is a share of its set."""
     most = max(*before, *now, 1)
     edges = np.linspace(0, most, BINS + 1)
     shares = [np.histogram(times, bins=edges)[0] / len(times) for times in (before, now)]

@@ -56,7 +56,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Compared:
-    """A scenario compared: its changes, sentences on what could not be compared, and reaction times (ns) to draw."""
+    """A scenario compared: its changes, what could not be compared, and reaction times (ns) to draw."""
 
     name: str
     before: str
@@ -120,12 +120,12 @@ def uncounted(before: Exact, now: Exact) -> Iterator[str]:
 def _of_reactions(before: Sequence[int], now: Sequence[int]) -> Iterator[Change]:
     if len(now) != len(before):
         verdict = Verdict.MISSED if len(now) < len(before) else Verdict.SAME
-        yield Change("reactions (virtual clock)", str(len(before)), str(len(now)), "", verdict)
+        yield Change("reactions (virtual)", str(len(before)), str(len(now)), "", verdict)
     for name, of in (("median", median_high), ("longest", max)) if before and now else ():
         then, here = of(before), of(now)
         verdict = Verdict.SLOWER if here > then else Verdict.QUICKER if here < then else Verdict.SAME
         by = f"{here - then:+,} ns" if here != then else "exactly"
-        yield Change(f"reaction, {name} (virtual clock)", describe(then), describe(here), by, verdict)
+        yield Change(f"reaction, {name} (virtual)", describe(then), describe(here), by, verdict)
 
 
 def _of_counts(before: Counts, now: Counts) -> Iterator[Change]:

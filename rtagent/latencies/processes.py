@@ -1,4 +1,4 @@
-"""Comparing two programs, each in processes of its own: what one process happens to be like meets a few rounds only."""
+"""Comparing two programs in processes of their own: what one process happens to be like meets a few rounds only."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rtagent.latencies.rounds import Block, Measure, Round, Rules, sifted, taken
 Command = Sequence[str]
 """What starts a worker."""
 
-PAIRS = 4
-"""Each side has so many processes, one after the other: where memory happens to lie makes code quicker or slower."""
+PAIRS = 3
+"""Each side has so many processes, in turn: where things happen to lie in memory makes code quicker or slower."""
 
 MOST = 2
 """So many times as many are measured where rounds are set aside."""

@@ -138,7 +138,7 @@ def of_subject(subject: Subject) -> Measure:
 
 
 def block_of(result: Result) -> Block:
-    """Return the times of a result, sample ages by device, and under `LEARNING` the mean time to learn a transition.
+    """Return the times of a result, ages by device, and under `LEARNING` the mean time to learn a transition.
 
     A slice is cut by the time that it takes: where the pieces of an update take longer, there are more slices.
     """
