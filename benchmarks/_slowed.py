@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Coroutine, Generator
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,10 @@ Work = Callable[[], None]
 
 
 def work(amount: int) -> Work:
-    """Return what does so much work, of no particular kind."""
-    rounds = range(amount)
+    """Return what does so much work, each unit of which takes as long."""
 
     def do() -> None:
-        for _ in rounds:
+        for _ in repeat(None, amount):
             pass
 
     return do
@@ -108,15 +108,20 @@ PARTS: dict[str, Callable[[Assembly, Work], None]] = {
     "observe": slow_observe,
     "choose": slow_choose,
     "act": slow_act,
+    "slice": slow_pieces,
     "learning": slow_pieces,
 }
 """What can be slower: the times that it is found by, and how it is made so."""
+
+ONE_PIECE = "learn.slice=1us"
+"""Else a slice has so many pieces as fit into its time, and is no longer where they are."""
 
 
 def subject(part: str, amount: int) -> Subject:
     """Return the agent with a part that does so much more: work, or for an age ns of delay."""
     delay = DELAY + (amount if part == "age of arm" else 0)
-    scenario = load(SCENARIO, [*KEYS, f"devices.arm.sampling.delay={delay}ns"])
+    slices = [ONE_PIECE] * (part == "slice")
+    scenario = load(SCENARIO, [*KEYS, *slices, f"devices.arm.sampling.delay={delay}ns"])
 
     def runs() -> Coroutine[Any, Any, Result]:
         assembly = assemble(scenario)

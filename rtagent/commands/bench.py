@@ -12,12 +12,19 @@ from rtagent.commands.bench_report import as_markdown, print_compared, print_fig
 from rtagent.errors import BaselineError, ScenarioError, SpecError, UndecidedError
 from rtagent.latencies.baseline import Baseline, read, write
 from rtagent.latencies.changes import Compared
-from rtagent.latencies.comparing import BESIDE_LIMIT, STORED_LIMIT, refusal, with_revision, with_stored
+from rtagent.latencies.comparing import (
+    BESIDE_LIMIT,
+    BESIDE_ROUNDS,
+    STORED_LIMIT,
+    refusal,
+    with_revision,
+    with_stored,
+)
 from rtagent.latencies.figures import Figures, measured, unmeasured
 from rtagent.latencies.revision import installed
 from rtagent.latencies.rounds import Measure, Rules, floor, interleaved
 
-ROUNDS, BESIDE_ROUNDS = 10, 12
+ROUNDS = 10
 
 OUTPUTS = ("save", "markdown", "plot")
 NOTHING_TO_DO = "give a scenario to measure, a baseline with --compare, or --floor."

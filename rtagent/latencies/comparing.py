@@ -19,6 +19,8 @@ from rtagent.latencies.rounds import Rules
 STORED_LIMIT, BESIDE_LIMIT = 2.0, 1.1
 """Above it is a regression: where times were stored by another session, and where both sides took turns."""
 
+BESIDE_ROUNDS = 12
+
 NOTHING_LEFT = "Nothing is left to compare: save a new baseline with --save."
 HERE = "here"
 

@@ -10,7 +10,7 @@ from rtagent import clock
 from rtagent.errors import SpecError, UndecidedError
 from rtagent.latencies.host import Disturbance, bound_to, watched
 from rtagent.latencies.subject import Subject
-from rtagent.latencies.times import AGE, ages_of, times_of
+from rtagent.latencies.times import AGE, ages_of, learning_of, times_of
 from rtagent.latency import sleeps
 from rtagent.result import Result
 from rtagent.units import ms
@@ -21,7 +21,7 @@ LEAST_ROUNDS = 5
 FLOOR = "wake-up"
 FLOOR_LASTS = 200 * ms
 
-LEARNING, SHED = "learning", "shed"
+LEARNING = "learning"
 
 Block = Mapping[str, Sequence[int]]
 """Times (ns) by name, from one run."""
@@ -138,15 +138,9 @@ def of_subject(subject: Subject) -> Measure:
 
 
 def block_of(result: Result) -> Block:
-    """Return the times of a result, ages by device, and under `LEARNING` the mean time to learn a transition.
-
-    A slice is cut by the time that it takes: where the pieces of an update take longer, there are more slices.
-    """
-    learning = result.learning()
-    learned = sum(count for how, count in learning.counts.items() if how != SHED)
-    mean = learning.share * result.recorder.elapsed / max(1, learned)
+    """Return the times of a result: ages by device, and under `LEARNING` what a transition took in the mean."""
     times = {name: values for name, values in times_of(result).items() if name != AGE}
-    return {**times, **ages_of(result), LEARNING: [round(mean)] * learned}
+    return {**times, **ages_of(result), LEARNING: learning_of(result)}
 
 
 def floor() -> Block:

@@ -15,6 +15,7 @@ from rtagent.units import describe
 
 PARTS = ("sensing", "deciding", "acting")
 AGE = "sample age"
+SLICES_KEPT = 0.99
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,19 @@ def times_of(result: Result) -> Mapping[str, Sequence[int]]:
         "slice": recorder.slices.values(),
         AGE: recorder.sample_age.values(),
     }
+
+
+def learning_of(result: Result) -> Sequence[int]:
+    """Return how long (ns) a transition took to learn, for each the mean of all.
+
+    A slice is cut by the time that it takes, so that work that takes longer makes more slices, not longer ones. The
+    longest hundredth of slices is left out, as it would decide the mean.
+    """
+    learning, slices = result.learning(), sorted(result.recorder.slices.values())
+    learned = sum(count for how, count in learning.counts.items() if how != "shed")
+    kept = slices[: ceil(SLICES_KEPT * len(slices))]
+    whole = sum(kept) if kept else learning.share * result.recorder.elapsed
+    return [round(whole / learned)] * learned
 
 
 def ages_of(result: Result) -> Mapping[str, Sequence[int]]:
