@@ -23,7 +23,6 @@ from rtagent.latencies.fixture import Latency
 from rtagent.latencies.host import Disturbance, bound_to, watched
 from rtagent.latencies.rounds import Measure, Round, Rounds, interleaved
 from rtagent.pytest_plugin import MARKER, OPTION, STRICT
-from rtagent.schedule import PRESETS
 
 pytestmark = pytest.mark.slow
 
@@ -103,37 +102,6 @@ def test_a_stimulus_without_any_reaction_is_later_than_any_limit() -> None:
         measured.assert_at_most(10**12)
     with pytest.raises(UndecidedError, match="mine has 0 times of reaction"):
         measured.assert_at_most(10**12, missed=missed)
-
-
-COSTS = 2 * (1 * ms + 2 * ms)
-"""Of act and choose, in the cycle in which a stimulus comes too late to be observed, and in the one that reacts."""
-LEARNING = {
-    "standard": 2 * 20 * ms,
-    "reactive": 20 * ms,
-    "deferred": 20 * ms,
-    "interruptible": 100 * us,
-    "background": 0,
-}
-"""How long learning that takes 20 ms may delay a reaction: twice, once, a slice, not at all."""
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_every_preset_keeps_its_promise(preset: str, rtagent_latency: Latency) -> None:
-    keys = ("schedule.learn_delay=20ms", "costs.act=1ms", "costs.choose=2ms", f"schedule.preset={preset}")
-    measured = rtagent_latency.run(STOPPING, *VIRTUAL, *keys)
-    measured.assert_at_most(LEARNING[preset] + COSTS, least=4)
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_counts_of_every_preset_are_the_same_in_every_run(preset: str, rtagent_latency: Latency) -> None:
-    scenario = rtagent_latency.scenario(
-        STOPPING, *VIRTUAL, f"schedule.preset={preset}", "schedule.learn_delay=500us"
-    )
-    first, second = (rtagent_latency.allocations(scenario) for _ in range(2))
-    assert first == second
-    assert first.total > 100
-    known = {"getpid": 1.0} if preset == "background" else {}  # asyncio asks when it makes a future
-    rtagent_latency.system_calls(scenario, episodes=2).assert_no_more_than(known)
 
 
 # Exact counts
