@@ -38,25 +38,25 @@ LEARNING = {
 """How long learning that takes 20 ms may delay a reaction: twice, once, a slice, not at all."""
 
 
-def keys(preset: str, learn_delay: str) -> tuple[str, ...]:
-    return (
-        "run.clock=virtual",
-        "run.episodes=4",
-        f"schedule.preset={preset}",
-        f"schedule.learn_delay={learn_delay}",
-    )
+def keys(preset: str) -> tuple[str, ...]:
+    return ("run.clock=virtual", "run.episodes=4", f"schedule.preset={preset}", "schedule.learn_delay=20ms")
+
+
+def short(preset: str) -> tuple[str, ...]:
+    """Return the keys with which few cycles pass, and few slices in each."""
+    return (*keys(preset), "schedule.learn_delay=100us", "devices.joint.onset=['20ms', '30ms']")
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_keeps_its_promise(preset: str, rtagent_latency: Latency) -> None:
-    measured = rtagent_latency.run(STOPPING, *keys(preset, "20ms"), "costs.act=1ms", "costs.choose=2ms")
+    measured = rtagent_latency.run(STOPPING, *keys(preset), "costs.act=1ms", "costs.choose=2ms")
     measured.assert_at_most(LEARNING[preset] + COSTS, least=4)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_slowdown_of_a_component_breaks_it(preset: str, rtagent_latency: Latency) -> None:
     slow = ("costs.act=1ms", f"costs.choose={2 * ms + LEARNING[preset] + COSTS}ns")
-    measured = rtagent_latency.run(STOPPING, *keys(preset, "20ms"), *slow)
+    measured = rtagent_latency.run(STOPPING, *keys(preset), *slow)
     with pytest.raises(AssertionError, match="The component that took longest is choose"):
         measured.assert_at_most(LEARNING[preset] + COSTS)
 
@@ -65,7 +65,7 @@ def test_a_slowdown_of_a_component_breaks_it(preset: str, rtagent_latency: Laten
 @pytest.mark.parametrize("preset", PRESETS)
 def test_no_function_allocates_more_than_it_did(preset: str, rtagent_latency: Latency) -> None:
     kept = json.loads(KEPT.read_text())
-    counts = rtagent_latency.allocations(STOPPING, *keys(preset, "500us"))
+    counts = rtagent_latency.allocations(STOPPING, *short(preset))
     if kept["python"] == PYTHON:
         counts.assert_no_more_than(kept[preset])
     else:
@@ -76,14 +76,14 @@ def test_no_function_allocates_more_than_it_did(preset: str, rtagent_latency: La
 @pytest.mark.parametrize("preset", PRESETS)
 def test_no_system_call_is_made_but_those_known(preset: str, rtagent_latency: Latency) -> None:
     known = {"getpid": 1.0} if preset == "background" else {}  # asyncio asks when it makes a future
-    rtagent_latency.system_calls(STOPPING, *keys(preset, "500us"), episodes=2).assert_no_more_than(known)
+    rtagent_latency.system_calls(STOPPING, *short(preset), episodes=2).assert_no_more_than(known)
 
 
 def keep() -> None:
     """Count anew."""
     found: dict[str, Any] = {"python": PYTHON}
     for preset in PRESETS:
-        found[preset] = allocations(Subject.scenario(STOPPING, *keys(preset, "500us"))).per_cycle
+        found[preset] = allocations(Subject.scenario(STOPPING, *short(preset))).per_cycle
     KEPT.write_text(json.dumps(found, indent=1) + "\n")
 
 
