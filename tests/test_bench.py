@@ -16,13 +16,14 @@ from parts import SCENARIOS
 
 from rtagent import ms
 from rtagent.__main__ import main
-from rtagent.errors import BaselineError
+from rtagent.errors import BaselineError, SpecError, UndecidedError
 from rtagent.latencies import Counts, Rules
 from rtagent.latencies.baseline import read, write
 from rtagent.latencies.changes import Compared, Verdict, of_exact
 from rtagent.latencies.comparing import refusal, with_stored
 from rtagent.latencies.comparison import Quantiles, to_stored
 from rtagent.latencies.figures import Exact, Figures, unmeasured
+from rtagent.latencies.fixture import Latency
 from rtagent.latencies.machine import machine, software
 
 STOPPING = str(SCENARIOS / "stopping.toml")
@@ -227,3 +228,17 @@ def test_what_was_counted_in_two_ways_is_not_compared(stored: Path) -> None:
     assert not compared.regressions
     (note,) = compared.notes
     assert note == "system calls were counted in two ways, and are not compared: all and (reads and writes only)."
+
+
+# The fixture
+
+
+def test_a_test_is_told_why_a_baseline_says_nothing(stored: Path) -> None:
+    latency = Latency(RULES)
+    with pytest.raises(SpecError, match="is no scenario under the real clock"):
+        latency.to_baseline(STOPPING, stored, "run.clock=virtual")
+    with pytest.raises(BaselineError, match=r"run\.seed was 1 and is 2"):
+        latency.to_baseline(STOPPING, stored, "run.seed=2")
+    changed(stored, lambda data: data["machine"].update(processor="Abacus"))
+    with pytest.raises(UndecidedError, match="was measured on another machine"):
+        latency.to_baseline(STOPPING, stored)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,6 +28,7 @@ from rtagent.latencies.baseline import read
 from rtagent.latencies.changes import Change, Compared, Verdict
 from rtagent.latencies.comparison import Ratio
 from rtagent.latencies.comparison import Verdict as Kept
+from rtagent.latencies.fixture import Latency
 from rtagent.latencies.processes import beside, workers
 from rtagent.latencies.revision import installed
 
@@ -263,6 +265,10 @@ def test_a_baseline_in_real_time_with_all_counts(tmp_path: Path, capsys: pytest.
     assert kept.exact.counts["allocations"].total > 100
     assert any(name.startswith("choose: rtagent.") for name in kept.exact.counts["allocations"].per_cycle)
     assert not kept.exact.notes
+    same = Latency(Rules(rounds=5, stolen=1.0)).to_baseline(STOPPING, base, *kept.keys)
+    assert same["choose"].before == pytest.approx(float(np.median(kept.times.values["choose"])))
+    with pytest.raises(AssertionError, match=r"is slower than 0.01 × .*base.json"):
+        same.assert_at_most(0.01, "choose")
     changed(base, lambda data: allocations_of(data).popitem())
     assert main(["bench", "--compare", str(base), "--rounds", "5", "--stolen", "1"]) == 1
     assert re.search(r"got worse: allocations in \w+: [\w.]+: 0 before", capsys.readouterr().out)

@@ -13,7 +13,7 @@ from rtagent.errors import RtagentError, UndecidedError
 from rtagent.latencies.allocations import allocations
 from rtagent.latencies.comparison import Quantiles
 from rtagent.latencies.counts import Counts
-from rtagent.latencies.rounds import Block, Measure, Rules, floor, interleaved, of_subject
+from rtagent.latencies.rounds import Block, Measure, Rules, Tell, floor, interleaved, of_subject
 from rtagent.latencies.subject import Subject
 from rtagent.latencies.system_calls import system_calls
 from rtagent.scenario import load
@@ -85,23 +85,28 @@ def is_real(figures: Figures) -> bool:
     return bool(figures.scenario["run"]["clock"] == "real")
 
 
-def measured(figures: Figures, rules: Rules, tell: Callable[[str], None] = lambda line: None) -> Figures:
+def measured(figures: Figures, rules: Rules, tell: Tell = lambda line: None) -> Figures:
     """Return a scenario with all that can be measured of it; `tell` is told what is being done."""
-    subject = Subject.scenario(figures.path, *figures.keys)
     tell(f"{figures.name}: counting, under the virtual clock")
-    figures = replace(figures, exact=exact(subject))
+    figures = replace(figures, exact=exact(Subject.scenario(figures.path, *figures.keys)))
     if not is_real(figures):
         return figures
     try:
-        rounds = interleaved(
-            [Measure(floor), of_subject(subject)], rules, lambda line: tell(f"{figures.name}: {line}")
-        )
+        return timed(figures, rules, lambda line: tell(f"{figures.name}: {line}"))
     except UndecidedError as error:
         return replace(figures, busy=str(error))
+
+
+def timed(figures: Figures, rules: Rules, tell: Tell = lambda line: None) -> Figures:
+    """Return a scenario with its times under the real clock, and bare wake-ups beside them.
+
+    Raises `UndecidedError` where the machine was too busy.
+    """
+    subject = Subject.scenario(figures.path, *figures.keys)
+    rounds = interleaved([Measure(floor), of_subject(subject)], rules, tell)
     wake_ups, blocks = ([each.blocks[side] for each in rounds.kept] for side in range(2))
-    return replace(
-        figures, times=Quantiles.of(blocks).joined(Quantiles.of(wake_ups)), reactions=some_reactions(blocks)
-    )
+    times = Quantiles.of(blocks).joined(Quantiles.of(wake_ups))
+    return replace(figures, times=times, reactions=some_reactions(blocks))
 
 
 def some_reactions(blocks: Sequence[Block]) -> list[int]:
