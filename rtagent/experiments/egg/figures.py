@@ -12,7 +12,7 @@ from rtagent.experiments.egg.conditions import CONTROL, NAMES, REACTIVE_SARSA, S
 from rtagent.experiments.egg.people import Group, Times, rate
 from rtagent.experiments.egg.variants import EACH, MAIN, PRACTISED, SPEEDS, alone, at_speed
 from rtagent.experiments.experiment import Figure
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,7 @@ def figures(groups: Mapping[str, Group]) -> list[Figure]:
     drawn = []
     if MAIN in groups:
         drawn += [failed_stops(groups), event_times(groups[MAIN])]
-    presets = [preset for preset in PRESETS if alone(preset) in groups]
+    presets = [preset for preset in FIXED if alone(preset) in groups]
     return [*drawn, schedules({preset: groups[alone(preset)] for preset in presets})] if presets else drawn
 
 

@@ -13,7 +13,7 @@ from rtagent.experiments.egg.people import Group, grouped, percent, rate, times_
 from rtagent.experiments.egg.variants import EACH, MAIN, PRACTISED, alone
 from rtagent.experiments.experiment import Cell, Findings, Options, Row, Table
 from rtagent.experiments.statistics import interval
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 from rtagent.units import degree
 
 CONDITIONS = (CONTROL, SARSA, REACTIVE_SARSA)
@@ -27,8 +27,8 @@ def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     """Find the claims, figures and tables of all trials."""
     groups = grouped(pairs)
     told = claims(groups[MAIN]) if MAIN in groups else []
-    presets = {preset: groups[alone(preset)] for preset in PRESETS if alone(preset) in groups}
-    mixed = {name: group for name, group in groups.items() if name not in map(alone, PRESETS)}
+    presets = {preset: groups[alone(preset)] for preset in FIXED if alone(preset) in groups}
+    mixed = {name: group for name, group in groups.items() if name not in map(alone, FIXED)}
     return Findings(tuple(told), tuple(figures(groups)), (_of_variants(mixed), _of_presets(presets)), NOTES)
 
 
