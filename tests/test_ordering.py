@@ -275,6 +275,7 @@ def scenario_run(name: str, *overrides: str) -> Result:
     return virtually(assemble(load(SCENARIOS / f"{name}.toml", overrides)).run())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["phases", "phases_stopping"])
 def test_a_run_is_the_same_to_the_byte(name: str) -> None:
     short = "run.episodes=2" if name == "phases_stopping" else "run.episode_time=3s"
