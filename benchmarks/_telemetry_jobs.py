@@ -31,6 +31,7 @@ from rtagent.telemetry.keys import Place
 from rtagent.telemetry.link import Link, Wishes
 from rtagent.telemetry.reading import Scan
 from rtagent.telemetry.recovering import recover
+from rtagent.telemetry.wishes import pace_of
 
 SCENARIO = Path(__file__).parent / "_telemetry.toml"
 ENDPOINT = "tcp/127.0.0.1:7457"
@@ -73,6 +74,20 @@ async def main():
     print(json.dumps({"seen": seen, "missed": missed, "lost": lost}))
 
 asyncio.run(main())
+"""
+
+
+STALLED = """
+import io, threading
+from rtagent.telemetry import recording
+
+class Disk(io.BytesIO):
+    def write(self, data):
+        if self.tell() > 1 << 16:
+            threading.Event().wait()
+        return super().write(data)
+
+recording.open_new = lambda path: Disk()
 """
 
 
@@ -136,10 +151,14 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
         if variant != "off":
             if variant in ("watched", "stopped", "killed"):
                 stack.enter_context(subscriber(variant))
+            record = folder / f"{variant}-{number}.mcap"
+            if variant == "disk stalled":
+                stack.enter_context(stalled_disk(folder))
             link = Link(
                 about_run(scenario, assembly),
                 Place("benchmark", f"{variant}-{number}"),
-                Wishes(Access(endpoint=ENDPOINT), str(folder / f"{variant}-{number}.mcap")),
+                Wishes(Access(endpoint=ENDPOINT), str(record)),
+                pace_of(assembly.schedule),
             )
         stack.enter_context(watch.running())
 
@@ -154,8 +173,19 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
     if link is not None:
         if variant == "sender stopped":
             os.kill(link.pid, signal.SIGCONT)
-        link.close("done")
+        link.close("done" if variant != "disk stalled" else "the disk is stalled")
     return Block(*(np.array(values[WARM_UP:]) / 1e3 for values in (watch.lateness, watch.costs)))
+
+
+@contextlib.contextmanager
+def stalled_disk(folder: Path) -> Iterator[None]:
+    """Have the senders that start now record to a disk that soon takes nothing more, and keeps who writes to it."""
+    (folder / "sitecustomize.py").write_text(STALLED)
+    os.environ["PYTHONPATH"] = str(folder)
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONPATH"]
 
 
 @contextlib.contextmanager

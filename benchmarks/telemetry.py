@@ -1,7 +1,8 @@
 """Measures what telemetry costs the loop, and what of it arrives.
 
 An agent at 500 Hz with a Horde of 100 demons runs in blocks that take turns: without telemetry, and published and
-recorded while nobody listens, somebody does, who is then stopped or killed, or while its own sender is stopped.
+recorded while nobody listens, somebody does, who is then stopped or killed, or while its own sender is stopped or
+its disk stalled.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from _telemetry_jobs import Block, block, complete, interrupted, killed
 
 ROUNDS, SECONDS, LONG = 8, 4.0, 60.0
 KILLS, RESAMPLED = 20, 1000
-VARIANTS = ("off", "absent", "watched", "stopped", "killed", "sender stopped")
+VARIANTS = ("off", "absent", "watched", "stopped", "killed", "sender stopped", "disk stalled")
 NAMES = {
     "absent": "nobody listening",
     "watched": "somebody listening",
     "stopped": "the listener stopped",
     "killed": "the listener killed",
     "sender stopped": "the sender stopped",
+    "disk stalled": "the disk stalled",
 }
 
 Blocks = dict[str, list[Block]]

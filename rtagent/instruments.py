@@ -25,6 +25,9 @@ class Instrument:
     def run_began(self, report: Callable[[str, str], None]) -> None:
         """A run began; `report(source, message)` tells it of a fault that does not end it, on its event loop."""
 
+    def counting_began(self, counts: Callable[[], Mapping[str, int]]) -> None:
+        """A run began; `counts()` returns, at any time, what was dropped, retried or late so far, by name."""
+
     def trial_began(self, trial: int, agent: Any) -> None:
         """A trial began, with this `rtagent.Agent`."""
 

@@ -164,6 +164,7 @@ class _Life:
 
     async def live(self) -> Result:
         self._hooks.call("run_began", self._report)
+        self._hooks.call("counting_began", self._counts)
         work = asyncio.ensure_future(self._work())
         try:
             with _signals(self._latch), _heard(self._latch) as stopped:
@@ -289,6 +290,13 @@ class _Life:
         now, trace = self._clock.now(), "".join(traceback.format_exception(error))
         self._recorder.fault(Fault(now - self._began, LEARNING, message, False, trace))
         self._hooks.call("fault", LEARNING, message, now)
+
+    def _counts(self) -> Mapping[str, int]:
+        """Return what was counted so far, that of a device under its name."""
+        counts = dict(self._recorder.counters)
+        for name, device in self._devices.items():
+            counts |= {f"{name}.{what}": count for what, count in device.counters.items()}
+        return counts
 
     def _conclude(self, end: _End | None, ended: int) -> Result:
         self._recorder.counters["instruments_removed"] += len(self._hooks.removed)

@@ -167,7 +167,7 @@ def test_a_run_calls_its_hooks_in_the_order_of_what_happens() -> None:
     everything = Everything()
     result = run_joint(Schedule.preset("reactive", learn_delay=10 * ms), episodes=2, instruments=[everything])
     called = everything.called
-    assert called[:3] == ["run_began", "trial_began", "episode_began"]
+    assert called[:4] == ["run_began", "counting_began", "trial_began", "episode_began"]
     assert called[-2:] == ["episode_ended", "trial_ended"]
     assert called.count("episode_began") == called.count("episode_ended") == 2
     assert called.count("learned") == sum(episode.steps for episode in result.episodes)

@@ -130,6 +130,7 @@ def _tell_plan(console: Console, experiments: Sequence[Experiment], options: Opt
 
 def _list(console: Console, options: Options) -> int:
     table = Table("experiment", "what it is", "thesis", "--quick", "in full", box=None, pad_edge=False)
+    table.columns[0].no_wrap = True
     code = 0
     for name in plugins.names(GROUP):
         try:

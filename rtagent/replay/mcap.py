@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from rtagent.errors import ReplayError
@@ -15,58 +15,47 @@ from rtagent.experience import Observation, Sample
 from rtagent.replay.events import Acted, Began, Chose, Ended, Event, Knew, Learned, Observed, Recorded
 from rtagent.specs import Value
 from rtagent.telemetry import records
-from rtagent.telemetry.records import STREAMS, Record
+from rtagent.telemetry.connection import TelemetryError
+from rtagent.telemetry.reading import WHOLE, Scan
+from rtagent.telemetry.records import Record
 
 NEEDED = ("run", "event", "sample", "observation", "choice", "action", "transition", "episode")
 """The streams that are read: nothing of them may be missing."""
 
-Stored = tuple[str, int, bytes]
-"""A stream, the number of a message in it, and its data."""
-
 
 def read_recording(path: Path) -> Recorded:
     """Return what an MCAP file holds, read when it is asked for; raise `ReplayError` where that is no recording."""
-    for stream, _, data in _stored(path):
-        if stream == "run":
-            run = _decoded(path, "run", data)
-            assert isinstance(run, records.Run), "that is what the stream holds"
-            return Recorded(_given(run.scenario), _events(path, run))
-    raise ReplayError(f"{path} tells of no run: give a recording that `rtagent run --record` has made.")
+    with _told_as_replays():
+        scan = Scan(path)
+        run = next((entry.record() for entry in scan if entry.stream == "run"), None)
+    if not scan.ends():
+        raise _cut_off(path)
+    if not isinstance(run, records.Run):
+        raise ReplayError(f"{path} tells of no run: give a recording that `rtagent run --record` has made.")
+    return Recorded(_given(run.scenario), _events(path, run))
 
 
-def _stored(path: Path) -> Iterator[Stored]:
-    """Yield what is stored, in the order in which it was written."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
+@contextmanager
+def _told_as_replays() -> Iterator[None]:
     try:
-        with path.open("rb") as file:
-            messages = make_reader(file, validate_crcs=True).iter_messages(NEEDED, log_time_order=False)
-            for _, channel, message in messages:
-                yield channel.topic, message.sequence, message.data
-    except FileNotFoundError:
-        raise ReplayError(f"there is no recording {path}.") from None
-    except OSError as error:
-        raise ReplayError(f"{path} cannot be read: {error.strerror or error}.") from None
-    except McapError as error:
-        raise ReplayError(
-            f"{path} is no recording, or not a whole one ({str(error).rstrip('.')}): "
-            f"`rtagent recover {path}` makes one that was cut off whole."
-        ) from None
-
-
-def _decoded(path: Path, stream: str, data: bytes) -> Record:
-    try:
-        return msgspec.json.decode(data, type=STREAMS[stream])
-    except msgspec.MsgspecError as error:
-        raise ReplayError(f"{path} has a record of {stream} that cannot be read: {error}.") from None
+        yield
+    except TelemetryError as error:
+        raise ReplayError(str(error)) from None
 
 
 def _events(path: Path, run: records.Run) -> Iterator[Event]:
-    reading = _Reading(path, run)
-    for stream, number, data in _stored(path):
-        reading.check_whole(stream, number)
-        yield from reading.events(_decoded(path, stream, data))
+    reading, scan = _Reading(path, run), Scan(path)
+    with _told_as_replays():
+        for entry in scan:
+            if entry.stream in NEEDED:
+                reading.check_whole(entry.stream, entry.sequence)
+                yield from reading.events(entry.record())
+    if scan.damage != WHOLE:
+        raise _cut_off(path)
+
+
+def _cut_off(path: Path) -> ReplayError:
+    return ReplayError(f"{path} was cut off or damaged: `rtagent recover {path}` makes one that was cut off whole.")
 
 
 class _Reading:

@@ -275,11 +275,19 @@ def _lists_by_key(table: Any) -> Any:
     return lists
 
 
-_LISTS = {"additionalProperties": {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}}
+def _lists_schema(depth: int) -> dict[str, Any]:
+    """Describe lists by their keys to editors: in one table, or in tables within tables."""
+    inner = [_lists_schema(depth - 1)] if depth else []
+    kinds = [{"type": "array", "minItems": 1}, *inner]
+    return {"type": "object", "additionalProperties": {"anyOf": kinds}}
+
+
+DEEPEST = 6
+"""Of keys such as horde.features.input.traces.0.decay."""
 ListsByKey = Annotated[
     dict[str, Annotated[list[Any], Field(min_length=1)]],
     BeforeValidator(_lists_by_key),
-    WithJsonSchema({"type": "object", **_LISTS}),
+    WithJsonSchema(_lists_schema(DEEPEST)),
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -19,7 +20,7 @@ from rtagent.telemetry.predictions import Newest
 
 Calls = Sequence[tuple[str, tuple[Any, ...]]]
 
-NO_RECORD = ("component", "had_learned", "trial_began", "run_ended")
+NO_RECORD = ("component", "had_learned", "trial_began", "counted", "run_ended")
 """Calls that no record is made of, or only with others."""
 STREAMS = {
     "chose": "choice", "acted": "action", "learned": "transition", "reacted": "reaction", "episode_began": "event",
@@ -50,6 +51,7 @@ class Collector:
         self._newest: Newest | None = None
         self._lost: Lost | None = None
         self._report: Callable[[str, str], None] | None = None
+        self._counts: Callable[[], Mapping[str, int]] = dict
         self.loop: asyncio.AbstractEventLoop | None = None
 
     # Hooks
@@ -57,6 +59,10 @@ class Collector:
     def run_began(self, report: Callable[[str, str], None]) -> None:
         """Note where faults are to be told, and on which loop."""
         self._report, self.loop = report, asyncio.get_running_loop()
+
+    def counting_began(self, counts: Callable[[], Mapping[str, int]]) -> None:
+        """Note where counts are to be had."""
+        self._counts = counts
 
     def trial_began(self, trial: int, agent: Agent) -> None:
         """Note whose predictions are told, and tell what they are about."""
@@ -99,9 +105,15 @@ class Collector:
         """Append that something failed."""
         self._put([("fault", (source, message, time))])
 
+    def count(self) -> None:
+        """Append what was counted so far, where there is room; from any thread."""
+        with contextlib.suppress(RuntimeError):  # the loop counts something new meanwhile: there is a next time
+            if len(self.buffer) < self._most:
+                self.buffer.append(([("counted", (dict(self._counts()),))], None, None))
+
     def end(self, how: str) -> None:
-        """Append how the run ended."""
-        self._put([("run_ended", (how,))])
+        """Append what was counted, and how the run ended."""
+        self._put([("counted", (dict(self._counts()),)), ("run_ended", (how,))])
 
     # The buffer
 

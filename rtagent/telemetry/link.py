@@ -22,6 +22,7 @@ from rtagent.telemetry.collect import Collector
 from rtagent.telemetry.connection import Access
 from rtagent.telemetry.feeding import Feeder
 from rtagent.telemetry.keys import Place
+from rtagent.telemetry.lull import Lull, Pace
 from rtagent.telemetry.ring import DATA, Ring
 from rtagent.telemetry.sender import Order
 from rtagent.units import second
@@ -57,14 +58,15 @@ class Wishes:
 class Link:
     """The connection of a run with its sender; `collector` is the instrument that writes to it."""
 
-    def __init__(self, about: Mapping[str, Any], place: Place, wishes: Wishes) -> None:
+    def __init__(self, about: Mapping[str, Any], place: Place, wishes: Wishes, pace: Pace) -> None:
         self._wishes, self._virtual = wishes, about["clock"] == "virtual"
+        self._pace = pace = Pace() if self._virtual else pace  # its lulls are not those of the real clock
         self._fd = _shared_file(DATA + RING)
         self._ring = Ring(self._fd, RING)
         self._closing = self.closed = False
         """Whether the sender has ended what it does, and the recording is complete."""
         self.collector = Collector(about["state"], wishes.buffer, self._make_room if self._virtual else None)
-        self._feeder = Feeder(self.collector.buffer, self._ring)
+        self._feeder = Feeder(self.collector, self._ring, Lull(pace))
         self._process = self._start(about, place)
         self._listener = threading.Thread(target=self._listen, name="telemetry", daemon=True)
         self._listener.start()
@@ -77,7 +79,7 @@ class Link:
         told = dict(about) | times | {"agent": place.agent, "run": place.run_id, "control": bool(wishes.commands)}
         order = Order(
             self._fd, RING, (place.agent, place.run_id), told, wishes.publish, wishes.record, bool(wishes.commands),
-            list(wishes.commands),
+            list(wishes.commands), self._pace,
         )  # fmt: skip
         process = subprocess.Popen(  # our own program
             [sys.executable, "-m", "rtagent.telemetry.sender"],

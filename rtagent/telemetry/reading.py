@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from os import SEEK_END
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
@@ -52,12 +53,15 @@ class Damage(NamedTuple):
     cut: bool
 
 
+WHOLE = Damage(0, cut=False)
+
+
 def read(path: str | Path) -> Iterator[tuple[str, Record]]:
     """Yield the streams and records of a recording; raise `TelemetryError` where it is none, or is damaged."""
     scan = Scan(path)
     for entry in scan:
         yield entry.stream, entry.record()
-    if scan.damage != Damage(0, cut=False):
+    if scan.damage != WHOLE:
         raise TelemetryError(f"{path} was cut off or damaged: `rtagent recover {path}` saves what is readable.")
 
 
@@ -90,7 +94,7 @@ class Scan:
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
-        self.damage = Damage(0, cut=False)
+        self.damage = WHOLE
         self._channels = dict(enumerate(STREAMS, start=1))
         try:
             with self._path.open("rb") as file:
@@ -99,6 +103,12 @@ class Scan:
             raise TelemetryError(f"{path} cannot be read: {error.strerror}. Give a recording.") from None
         if begins != MAGIC:
             raise TelemetryError(f"{path} is no MCAP file: give what `rtagent run --record` has written.")
+
+    def ends(self) -> bool:
+        """Say whether the file has an end: a look at its last bytes."""
+        with self._path.open("rb") as file:
+            file.seek(-len(MAGIC), SEEK_END)
+            return file.read() == MAGIC
 
     def __iter__(self) -> Iterator[Entry]:
         bad, whole = 0, False

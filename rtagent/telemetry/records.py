@@ -205,7 +205,7 @@ class Fault(Record, kw_only=True, frozen=True):
 
 
 class Counters(Record, kw_only=True, frozen=True):
-    """What was counted so far, once a second.
+    """What was counted so far, once a second, of the run, its devices (as `DEVICE.NAME`) and its telemetry.
 
     `lost.STREAM` records of a stream found the buffer full: their sequence numbers are missing, everywhere.
     `not_recorded` are missing in the recording alone, as after a full disk. `buffered` is how many bytes were

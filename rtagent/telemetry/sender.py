@@ -20,6 +20,7 @@ from rtagent.clock import RealClock
 from rtagent.telemetry import records
 from rtagent.telemetry.connection import Access, TelemetryError
 from rtagent.telemetry.keys import Place
+from rtagent.telemetry.lull import Lull, Pace
 from rtagent.telemetry.publishing import Publisher
 from rtagent.telemetry.records import STREAM_OF, Record
 from rtagent.telemetry.ring import Ring
@@ -30,12 +31,12 @@ if TYPE_CHECKING:
     from rtagent.telemetry.recording import Recorder
 
 ORDERS, ANSWERS = 0, 1
-PAUSE = 0.004
+PAUSE = 0.01
 """How long (s) it rests where there is nothing to send: nobody has to wake it."""
 AT_ONCE = 200
 """So many messages are sent before it looks at anything else."""
 LITTLE, BREATH = 1 << 17, 0.0005
-"""Where fewer bytes wait, it rests (s) after each message: a loop that wants its processor waits for no more."""
+"""Where fewer bytes wait, it sends in lulls of the loop, or rests (s) after each message where it knows none."""
 OPENING = 2.0
 """How long (s) what comes first waits for Zenoh."""
 CLOSING = 0.3
@@ -55,6 +56,7 @@ class Order(msgspec.Struct, frozen=True):
     record: str
     control: bool
     commands: list[str]
+    pace: Pace
 
 
 class Sender:
@@ -66,6 +68,7 @@ class Sender:
         self._unpack = Unpacker(order.about["actions"])
         self._encode = msgspec.json.Encoder().encode
         self._commands = order.commands
+        self._lull = Lull(order.pace)
         self._given: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
         self._recorder = self._open_recorder(order.record)
         self._publisher = self._open_publisher(order)
@@ -99,10 +102,7 @@ class Sender:
         """Send until the run has ended and all that it wrote is sent."""
         running = True
         while running:
-            little = self._ring.filled < LITTLE
-            busy = self._send_some(1 if little else AT_ONCE)
-            rest = PAUSE if not busy else BREATH if little else 0
-            running = not select.select([ORDERS], [], [], rest)[0]
+            running = not select.select([ORDERS], [], [], self._send())[0]
             self._look()
         while self._send_some(AT_ONCE):
             self._look()
@@ -114,13 +114,27 @@ class Sender:
             self._publisher.close(CLOSING)
         _tell(closed=self._recorder is None or self._recorder.close(WRITING_OUT))
 
+    def _send(self) -> float:
+        """Send what may be sent now; return how long (s) to rest then."""
+        if self._ring.filled >= LITTLE:
+            self._send_some(AT_ONCE)
+            return 0.0
+        began = RealClock.now()
+        if wait := self._lull.until(began):
+            return wait / second
+        if not self._send_some(1):
+            return PAUSE
+        now = RealClock.now()
+        self._lull.took(now - began)
+        return self._lull.until(now) / second if self._lull.known else BREATH
+
     def _send_some(self, most: int) -> bool:
         """Send so many of the messages that wait; say whether there was one."""
         for sent in range(most):
             message = self._ring.read()
             if message is None:
                 return sent > 0
-            for record in self._unpack(message):
+            for record in self._unpack(message, self._lull.heard):
                 self._emit(record)
             if self._unpack.run_changed:
                 self._emit(self._run())
@@ -158,7 +172,7 @@ class Sender:
     def _counters(self) -> Record:
         lost = {f"lost.{stream}": count for stream, count in self._unpack.lost.items()}
         missing = {} if self._recorder is None else {"not_recorded": self._recorder.not_recorded}
-        values = lost | missing | {"buffered": self._ring.filled}
+        values = self._unpack.counts | lost | missing | {"buffered": self._ring.filled}
         return self._unpack.make(records.Counters, self._now(), values=values)
 
     def _command(self, name: str, text: str) -> str:

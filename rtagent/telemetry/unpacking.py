@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from rtagent.telemetry import records
 from rtagent.telemetry.packing import unpack
 from rtagent.telemetry.records import STREAM_OF, Record
 
+Calls = Sequence[tuple[str, Sequence[Any]]]
+
 DEVICE_SAMPLE = ("values", "world_time_ns", "arrival_time_ns", "number", "time_source")
 
 
@@ -20,7 +22,7 @@ class Unpacker:
     """Makes records, numbers them by stream, and knows what of each stream was lost.
 
     `actions` are the names of the run's actions. What is told of the run as a whole is kept: its `demons`, how it
-    `ended`; `run_changed` says whether there is something new.
+    `ended`, its `counts`; `run_changed` says whether there is something new of it.
     """
 
     def __init__(self, actions: Sequence[str]) -> None:
@@ -32,6 +34,7 @@ class Unpacker:
         self.run_changed = False
         self._next: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
+        self.counts: dict[str, int] = {}
         self._last_sample: dict[str, tuple[int, int]] = {}
         self._about = self._learned_at = 0
         self._chosen: tuple[float, int | None] = (1.0, None)
@@ -47,9 +50,10 @@ class Unpacker:
         self.time = max(self.time, time)
         return kind(sequence=sequence, time_ns=time, **fields)
 
-    def __call__(self, message: bytes) -> Iterator[Record]:
-        """Yield the records of a message."""
+    def __call__(self, message: bytes, heard: Callable[[Calls], None] = lambda calls: None) -> Iterator[Record]:
+        """Yield the records of a message; its calls are `heard` first."""
         lost, calls, newest = unpack(message)
+        heard(calls)
         if lost is not None:
             self._skip(*lost)
         components: dict[str, int] = {}
@@ -81,6 +85,10 @@ class Unpacker:
         self._order, self._precision = np.argsort(places), precision
         self.demons = [records.DemonAbout(*about[number]) for number in self._order]
         self.run_changed = True
+        return iter(())
+
+    def _counted(self, counts: dict[str, int]) -> Iterator[Record]:
+        self.counts = counts
         return iter(())
 
     def _run_ended(self, how: str) -> Iterator[Record]:

@@ -10,10 +10,12 @@ from rtagent.device import Pressable
 from rtagent.latch import Latch
 from rtagent.scenario import Assembly, Scenario
 from rtagent.scenario.model import TelemetryTable
+from rtagent.schedule import Schedule
 from rtagent.telemetry.connection import Access
 from rtagent.telemetry.describing import about_run
 from rtagent.telemetry.keys import Place, as_chunk
 from rtagent.telemetry.link import Link, Wishes, time_of_day
+from rtagent.telemetry.lull import Pace
 
 
 def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record: str | None) -> Link:
@@ -25,9 +27,13 @@ def open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record:
         table.buffer,
         _commands(assembly, latch) if table.control else {},
     )
-    return Link(
-        about_run(scenario, assembly), Place(as_chunk(scenario.name), f"{time_of_day()}-{os.getpid()}"), wishes
-    )
+    place = Place(as_chunk(scenario.name), f"{time_of_day()}-{os.getpid()}")
+    return Link(about_run(scenario, assembly), place, wishes, pace_of(assembly.schedule))
+
+
+def pace_of(schedule: Schedule) -> Pace:
+    """Return how a schedule paces a run."""
+    return Pace(schedule.period, schedule.order[0])
 
 
 def access_of(table: TelemetryTable) -> Access:

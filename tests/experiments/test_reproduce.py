@@ -6,9 +6,11 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 import toys
+from parts import ROOT
 from toys import CALLED, toy
 
 from rtagent import plugins
@@ -23,7 +25,8 @@ from rtagent.experiments.report.page import About, page
 def only_toys(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have no experiments but those that a test knows."""
     monkeypatch.setattr(plugins, "_registered", {})
-    monkeypatch.setattr(plugins, "_installed", lambda group: {})
+    installed = plugins._installed
+    monkeypatch.setattr(plugins, "_installed", lambda group: {} if group == "experiments" else installed(group))
     CALLED.clear()
     known(toy("works"))
 
@@ -179,3 +182,13 @@ def test_a_large_figure_is_shown_as_pixels(tmp_path: Path, monkeypatch: pytest.M
     outcome = carry_out(toy("works"), Options(), lambda experiment, cells: measured, tmp_path)
     text = page([outcome], About("rtagent", "now", "1 s", "1", "one", quick=True))
     assert Strict(text).sources[0].startswith("data:image/png;base64,")
+
+
+def test_the_experiment_of_the_page_works(tmp_path: Path) -> None:
+    block = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "reproduce.md").read_text(), re.DOTALL)[0]
+    names: dict[str, Any] = {}
+    exec(compile(block, "reproduce.md", "exec"), names)  # noqa: S102  # our own page
+    mine = names["EXPERIMENT"]
+    outcome = carry_out(mine, Options(), lambda each, cells: [each.measure(cell) for cell in cells], tmp_path)
+    assert not outcome.failures
+    assert outcome.findings.claims[0].verdict == Verdict.NOT_REPRODUCED

@@ -188,7 +188,10 @@ def test_a_recording_that_is_not_whole_is_refused(tmp_path: Path, capsys: pytest
     record(path, "stopping", "run.episodes=1")
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    for place, said in ((path, "rtagent recover"), (tmp_path / "none.mcap", "there is no recording")):
+    for place, said in (
+        (path, "rtagent recover"),
+        (tmp_path / "none.mcap", "none.mcap cannot be read"),
+    ):
         assert command("replay", str(place)) == 2
         assert said in capsys.readouterr().err
 

@@ -8,13 +8,16 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from collecting import assembled, collected
+from collecting import SHORT, assembled, collected
 from jsonschema import Draft202012Validator
 from parts import ROOT
 
 from rtagent import clock
 from rtagent.instruments import Instrument
+from rtagent.telemetry.collect import Collector
+from rtagent.telemetry.feeding import packed
 from rtagent.telemetry.records import STREAMS, Action, Record, schema
+from rtagent.telemetry.unpacking import Unpacker
 
 Streams = dict[str, list[Any]]
 
@@ -159,3 +162,19 @@ def test_a_run_with_telemetry_is_the_run_without_it() -> None:
     watched = weights(lambda assembly, notes: collected(assembly, beside=[notes]))
     np.testing.assert_equal(watched, bare)
     assert np.abs(bare["horde"]["0"]["learned"]["total"]).max() > 0
+
+
+def test_what_was_counted_is_told_as_the_result_tells_it() -> None:
+    assembly = assembled(overrides=(*SHORT, "schedule.learn_delay=5ms", "devices.arm.faults.drop=0.5"))
+    collector = Collector(list(assembly.task.state), 10**6)
+    result = clock.run(assembly.run([collector]), "virtual")
+    collector.end("done")
+    unpacker = Unpacker(assembly.task.actions)
+    for cycle in collector.buffer:
+        list(unpacker(packed(cycle)))
+    counts = dict(result.recorder.counters)
+    for name, of_device in result.device_counters.items():
+        counts |= {f"{name}.{what}": count for what, count in of_device.items()}
+    assert unpacker.counts == counts
+    assert counts["overruns"] > 0
+    assert any(name.startswith("arm.") for name in counts)
