@@ -15,7 +15,8 @@ from typing import Any
 from rtagent.errors import PluginError, did_you_mean
 
 GROUPS = (
-    "drivers", "tasks", "features", "learners", "policies", "emulators", "probes", "calibrations", "experiments",
+    "drivers", "tasks", "features", "learners", "policies",
+    "emulators", "probes", "calibrations", "experiments", "streams",
 )  # fmt: skip
 CONTEXT = frozenset({"state", "size", "active", "actions", "policy"})
 """What the runtime supplies: the task's state specs and number of actions, the coder's sizes, the policy."""

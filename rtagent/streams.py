@@ -18,6 +18,16 @@ def stream(seed: int, *names: str | int) -> Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
+def shared(rng: Generator, name: str) -> Generator:
+    """Return a stream that the devices of an episode have in common: of its seed, trial and episode, and of a name.
+
+    `rng` is the device's own stream, made by `stream` for ("device", NAME, trial, episode); it is left as it was.
+    """
+    seeds: Any = rng.bit_generator.seed_seq
+    key = (zlib.crc32(name.encode()), *seeds.spawn_key[2:])
+    return np.random.default_rng(np.random.SeedSequence(seeds.entropy, spawn_key=key))
+
+
 def save_stream(rng: Generator) -> Saved:
     """Return where a generator is, and what further ones are spawned from."""
     seeds: Any = rng.bit_generator.seed_seq

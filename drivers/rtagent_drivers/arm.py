@@ -139,7 +139,7 @@ class ArmWorld:
         values: dict[str, float] = {}
         measured = zip(self._motions(move, elapsed), move.heated(elapsed), strict=True)
         for number, (motion, temperature) in enumerate(measured):
-            name, noise = self._joints[number].name, _noise(self._seed, time, number)
+            name, noise = self._joints[number].name, noise_at(self._seed, time, number)
             values[f"{name}_position"] = motion.position + NOISE[0] * noise[0]
             values[f"{name}_velocity"] = motion.velocity + NOISE[1] * noise[1]
             values[f"{name}_load"] = min(max(motion.load + NOISE[2] * noise[2], -1.0), 1.0)
@@ -235,7 +235,7 @@ def minimum_jerk(time: float) -> tuple[float, float, float]:
     )
 
 
-def _noise(seed: int, time: int, joint: int) -> tuple[float, float, float, float]:
+def noise_at(seed: int, time: int, joint: int) -> tuple[float, float, float, float]:
     """Return four numbers from -1 to 1 that depend on nothing else: SplitMix64 (Steele, Lea and Flood 2014)."""
     mixed = (seed + (time * MOST_JOINTS + joint + 1) * 0x9E3779B97F4A7C15) & MASK
     mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & MASK

@@ -10,15 +10,17 @@ import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from typing import ClassVar, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from rtagent.clock import current
 from rtagent.device import Noting
 from rtagent.errors import DeviceError, DisconnectedError, SpecError
-from rtagent.experience import Command, Sample, Stimulus, Values
+from rtagent.experience import Command, FloatArray, Sample, Stimulus, Values
 from rtagent.saving import Saveable, Saved
 from rtagent.specs import DeviceSpec, Value
 from rtagent.streams import restored_stream, save_stream, stream
@@ -61,6 +63,14 @@ class Preparing(Protocol):
 
     def prepare(self, rng: Generator) -> None:
         """Make the start of the episode that `begin` is called for next, what is random drawn from `rng`."""
+
+
+@runtime_checkable
+class Columnar(Protocol):
+    """A world that can be asked for many moments at once."""
+
+    def columns(self, times: NDArray[np.int64]) -> Mapping[str, FloatArray]:
+        """Return what the sensors would measure at these times (ns), shape (n,), by their names."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +212,24 @@ class FakeDevice:
             return self._arrivals.next_arrival(now)
         change = self.world.next_change(now - self._sampling.delay)
         return None if change is None else change + self._sampling.delay
+
+    def foretold(self, rng: Generator, length: int) -> tuple[NDArray[np.int64], Mapping[str, FloatArray]]:
+        """Return all samples of an episode of `length` (ns) that begins at 0: when each arrives, and the values.
+
+        They are those that `read` would give, all at once; raises `SpecError` where faults or jitter are set, or
+        there is no rate.
+        """
+        sampling = self._sampling
+        if not sampling.rate or sampling.jitter or self._faults != Faults():
+            raise SpecError("only a fake with a rate, without faults and jitter, can be foretold.")
+        count = ceil((length - sampling.delay) * sampling.rate / 1e9)
+        taken = np.array([round(number * 1e9 / sampling.rate) for number in range(count)], np.int64)
+        self.world.begin(0, rng)
+        if isinstance(self.world, Columnar):
+            return taken + sampling.delay, self.world.columns(taken)
+        rows = [self.world.values(time) for time in taken.tolist()]
+        values = {name: np.array([row[name] for row in rows], float) for name in self.spec.sensors}
+        return taken + sampling.delay, values
 
     @property
     def notes(self) -> Sequence[str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtagent import kernels
 from rtagent.errors import SpecError
-from rtagent.experience import FeatureVector, FloatArray, State
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
 from rtagent.features.coder import vector
 from rtagent.features.normalise import UnitCube
 from rtagent.features.prototypes import Distance, distances, limit, metric, placed
@@ -49,7 +49,8 @@ class SelectiveKanerva:
         bounds, etas = _bounds(len(self.prototypes), sets), _ratios(eta)
         counts = [[_count(end - start, each) for each in etas] for start, end in pairwise(bounds)]
         selection = Selection(self.prototypes, bounds, counts, distance, proximity)
-        self._encode = selector(self._cube, selection)
+        self._selector = selector(self._cube, selection)
+        self._encode = self._selector.encode
         self.size = len(self.prototypes) * len(etas)
         self.active = selection.active
 
@@ -59,6 +60,21 @@ class SelectiveKanerva:
         Raises `SpecError` for another shape, and, naming the signal, for a value that is not a number.
         """
         return self._encode(state)
+
+    def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
+        """Return what `encode` would of states, shape (n, signals): indices and values, shape (n, active).
+
+        Values are None where all are 1. Raises `SpecError` as `encode` does, for the first state that is wrong.
+        """
+        return self._selector.encode_each(states)
+
+    def point(self, state: State) -> FloatArray:
+        """Return where a state lies in the unit cube, shape (signals,), clipped without being counted."""
+        return self._cube.point(state)
+
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the `prototypes`."""
+        self._selector.moved(places)
 
     @property
     def clipped(self) -> Mapping[str, int]:

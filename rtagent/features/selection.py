@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 
@@ -39,11 +40,23 @@ class Selection:
         return sum(map(sum, self.counts))
 
 
-def selector(cube: UnitCube, selection: Selection) -> Callable[[State], FeatureVector]:
+class Selector(Protocol):
+    """Makes features of states."""
+
+    def encode(self, state: State) -> FeatureVector:
+        """Return the features of `state`, set by set and, in each, layer by layer."""
+
+    def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
+        """Return the features of successive states, a row each: their indices, and their values if any."""
+
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the prototypes."""
+
+
+def selector(cube: UnitCube, selection: Selection) -> Selector:
     """Return what makes features of a state: compiled where there is a compiler."""
     module = kernels.load("kanerva")
-    made = PlainSelector(cube, selection) if module is None else CompiledSelector(cube, selection, module)
-    return made.encode
+    return PlainSelector(cube, selection) if module is None else CompiledSelector(cube, selection, module)
 
 
 class PlainSelector:
@@ -65,6 +78,15 @@ class PlainSelector:
                 nearest = nearest[smallest(measured[nearest], count)]
                 chosen.append(nearest + start + layer * len(made.prototypes))
         return FeatureVector(np.concatenate(chosen), np.concatenate(values) if made.proximity else None)
+
+    def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
+        """Return the features of successive states, a row each."""
+        coded = [self.encode(state) for state in states]
+        indices = np.array([each.indices for each in coded], np.intp).reshape(len(states), -1)
+        return indices, np.array([each.values for each in coded]) if self._selection.proximity else None
+
+    def moved(self, places: IndexArray) -> None:
+        """Do nothing: prototypes are read each time."""
 
     def _values(self, measured: FloatArray, count: int) -> FloatArray:
         """Return by how much each of the nearest is nearer than the first left out, summing to `count`."""
@@ -96,6 +118,8 @@ class CompiledSelector:
         )
         remembered = np.full((sets, module.ANCHOR + signals + layers), 0.1)
         remembered[:, module.LISTED], remembered[:, module.GAP] = 0.0, np.inf
+        self._prototypes, self._columns = selection.prototypes, columns
+        self._lists = remembered[:, module.LISTED]
         store = cube.ranges(2), cube.clips, selection.prototypes, columns, places, plan, remembered
         self._nearest = partial(module.nearest, *store)
 
@@ -110,6 +134,21 @@ class CompiledSelector:
         if wrong >= 0:
             raise self._cube.refusal(state)
         return vector((indices, values if self._proximity else None))
+
+    def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
+        """Return the features of successive states, a row each."""
+        rows = np.require(states, np.float64, ["C", "W"])
+        indices = np.empty((len(rows), self._active), np.intp)
+        values = np.empty((len(rows), self._active if self._proximity else 0))
+        for state, chosen, weights in zip(rows, indices, values, strict=True):
+            if self._nearest(state, chosen, weights) >= 0:
+                raise self._cube.refusal(state)
+        return indices, values if self._proximity else None
+
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the prototypes: no list answers any more."""
+        self._columns[:-1, places] = self._prototypes[places].T
+        self._lists[:] = 0.0
 
 
 def with_room(prototypes: FloatArray, room: int) -> tuple[np.ndarray, IndexArray]:

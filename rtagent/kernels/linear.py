@@ -172,3 +172,33 @@ def dutch(
     add(cells, row, size, indices, values, to_trace, alpha * (before - now))
     move(cells, delta, decay)
     return delta, next_value
+
+
+@kernel(
+    "float64(float64[:,::1], int64, int64[:,::1], float64[::1], float64[::1], "
+    "float64, float64, float64, float64, float64[::1])"
+)
+def follow(
+    cells: Any, size: int, coded: Any, values: Any, rewards: Any,
+    gamma: float, estimate: float, alpha: float, decay: float, predictions: Any,
+) -> float:  # fmt: skip
+    """Do `dutch` from each row of binary features to the next, writing what each predicted; return the estimate.
+
+    Where learning diverges, the predictions from there on are NaN, and so is what is returned; `values` is empty.
+    """
+    predictions[:] = math.nan
+    for k in range(rewards.size):
+        predictions[k] = value(cells, 0, size, coded[k], values)
+        delta, estimate = dutch(
+            cells, 0, size, coded[k], values, 0, coded[k + 1], values, rewards[k], gamma, estimate, alpha, decay
+        )
+        if not math.isfinite(delta):
+            return math.nan
+    return estimate
+
+
+@kernel("void(float64[:,::1], int64, int64[:,::1], float64[::1], float64[::1])")
+def each_value(cells: Any, size: int, coded: Any, values: Any, found: Any) -> None:
+    """Write θ·φ of each row of binary features; `values` is empty."""
+    for k in range(found.size):
+        found[k] = value(cells, 0, size, coded[k], values)

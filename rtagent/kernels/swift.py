@@ -124,3 +124,27 @@ def step(
     see(cells, indices, values, rate, eta, log_epsilon)
     move(cells, delta, value - before, decay, meta_step_size, least, most)
     return delta, next_value
+
+
+@kernel(
+    "float64(float64[:,::1], int64[:,::1], float64[::1], float64[::1], "
+    "float64, float64, float64, float64, float64, float64, float64, float64, float64[::1])"
+)
+def follow(
+    cells: Any, coded: Any, values: Any, rewards: Any, gamma: float, decay: float, estimate: float,
+    eta: float, meta_step_size: float, log_epsilon: float, least: float, most: float, predictions: Any,
+) -> float:  # fmt: skip
+    """Do `step` from each row of binary features to the next, writing what each predicted; return the estimate.
+
+    Where learning diverges, the predictions from there on are NaN, and so is what is returned; `values` is empty.
+    """
+    predictions[:] = math.nan
+    for k in range(rewards.size):
+        predictions[k] = product(cells, W, coded[k], values)
+        delta, estimate = step(
+            cells, coded[k], values, coded[k + 1], values, rewards[k], gamma, decay, estimate,
+            eta, meta_step_size, log_epsilon, least, most,
+        )  # fmt: skip
+        if not math.isfinite(delta):
+            return math.nan
+    return estimate

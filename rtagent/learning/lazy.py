@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.linear import ALL_ONES, Parts, as_arrays, check_range, parts_saved
 from rtagent.memory import claim
 from rtagent.saving import Saved
@@ -92,6 +92,22 @@ class LazyTraces:
             self._check_range(next_row, following)
         return found
 
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+        found = np.empty(len(coded))
+        self._kernels.each_value(self._cells, self.size, np.require(coded, np.int64, ["C", "W"]), ALL_ONES, found)
+        return found
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features to the next; return values and estimate."""
+        found, rows = np.empty(len(rewards)), np.require(coded, np.int64, ["C", "W"])
+        following = np.require(rewards, np.float64, ["C", "W"])
+        numbers = gamma, estimate, alpha, decay
+        estimate = self._kernels.follow(self._cells, self.size, rows, ALL_ONES, following, *numbers, found)
+        return found, estimate
+
     def reset(self) -> None:
         """Set the trace to 0."""
         self._fold()
@@ -102,6 +118,13 @@ class LazyTraces:
         while self._cells[-2, self._kernels.FOLDED] >= 0.0:
             yield
             self._kernels.fold(self._cells, self._kernels.BLOCK)
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._fold()
+        u, trace = self._column(self._kernels.U), self._column(self._kernels.TRACE)
+        u[:, place] = u[:, like] + self._cells[-1, self._kernels.SHIFT] * trace[:, like]
+        trace[:, place] = 0.0
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size), before scale and shift are written into them."""

@@ -13,6 +13,8 @@ from rtagent.experience import FeatureVector, FloatArray, Transition
 from rtagent.learning.returns import PredictionErrors
 from rtagent.saving import Saved
 
+DIVERGED = "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"
+
 
 class Learner(Protocol):
     """Learns from transitions, in the order in which they happened.
@@ -36,6 +38,17 @@ class SlicedLearner(Learner, Protocol):
         It is cut at fixed points of the work: where, and for how long, it is left changes no bit of the result.
         It yields True where the slice that follows leaves all action values alone: a thread may then go on with it
         while an action is chosen.
+        """
+
+
+@runtime_checkable
+class Inheriting(Learner, Protocol):
+    """A learner for coders whose features become others."""
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace.
+
+        Never called in the middle of an update.
         """
 
 
@@ -91,4 +104,4 @@ def _what_is_wrong(transition: Transition) -> str:
         if wrong:
             index, value = features.indices[wrong[0]], features.values[wrong[0]]  # type: ignore[index]  # not None
             return f"feature {index} of the {name} is {value}"
-    return "the weights have grown beyond all bounds (make alpha smaller, or divide it by the active features)"
+    return DIVERGED

@@ -63,6 +63,13 @@ class Rates:
         gamma = self._discount(transition)
         return gamma, 0.0 if transition.last else gamma * self.lambda_(transition)
 
+    @property
+    def constant(self) -> tuple[float, float]:
+        """γ and γλ of every step; raises `SpecError` where they depend on the transition."""
+        if self._fixed is None:
+            raise SpecError("gamma and lambda_ depend on the transition here: learn from transitions, one by one.")
+        return self._fixed
+
     def lambda_(self, transition: Transition) -> float:
         """Return λ of the state in which a transition ends."""
         return fraction_of("lambda_", self._lambda, transition)

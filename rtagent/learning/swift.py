@@ -7,6 +7,7 @@ learning of one step is bounded; where the bound holds a step back, the step siz
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from types import ModuleType
 from typing import NamedTuple, Protocol
 
@@ -14,8 +15,8 @@ import numpy as np
 
 from rtagent import kernels
 from rtagent.errors import SpecError
-from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning.learner import checked, parts_of
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, Transition
+from rtagent.learning.learner import DIVERGED, checked, parts_of
 from rtagent.learning.linear import (
     ALL_ONES,
     NOTHING,
@@ -63,6 +64,15 @@ class Swift(Protocol):
 
         `estimate` is the value that the step before gave to this state, NaN before the first. Where δ is not
         finite, nothing was learned.
+        """
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, decay: float, estimate: float
+    ) -> tuple[FloatArray, float]:
+        """Do `step` from each row of binary features, shape (n + 1, active), to the next.
+
+        Return the values of all but the last, shape (n,), each before its step, and the estimate: NaN, from where
+        learning diverges.
         """
 
     def restored(self) -> None:
@@ -129,6 +139,27 @@ class SwiftTD:
         self._estimate = math.nan if t.last else next_value
         return delta
 
+    def predict_each(self, coded: IndexArray) -> FloatArray:
+        """Return what `predict` would for binary features, a row of indices each, shape (n, active)."""
+        found: FloatArray = self._swift.w[coded].sum(axis=1)
+        return found
+
+    def follow(self, coded: IndexArray, rewards: FloatArray) -> FloatArray:
+        """Learn from a stream at once, as `TrueOnlineTD.follow` does."""
+        gamma, decay = self._rates.constant
+        predictions, estimate = self._swift.follow(coded, rewards, gamma, decay, self._estimate)
+        if not math.isfinite(estimate):
+            raise SpecError(DIVERGED)
+        self._estimate = estimate
+        return predictions
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        swift = self._swift
+        for name in KEPT:
+            kept: FloatArray = getattr(swift, name)
+            kept[place] = kept[like] if name in ("w", "beta") else 0.0
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return save_fields(self._swift, KEPT) | {"estimate": self._estimate}
@@ -172,6 +203,19 @@ class DenseSwift:
         self._move(delta, value - before)
         self._fade(decay)
         return delta, next_value
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, decay: float, estimate: float
+    ) -> tuple[FloatArray, float]:
+        """Do `step` from each row of binary features to the next; return values and estimate."""
+        values = np.full(len(rewards), math.nan)
+        vectors = [FeatureVector(indices) for indices in coded]
+        for number, ((features, following), reward) in enumerate(zip(pairwise(vectors), rewards, strict=True)):
+            values[number] = self.value(features)
+            delta, estimate = self.step(features, following, float(reward), gamma, decay, estimate)
+            if not math.isfinite(delta):
+                return values, math.nan
+        return values, estimate
 
     def restored(self) -> None:
         """Do nothing: the arrays are all there is."""
@@ -252,6 +296,15 @@ class SparseSwift:
             check_range(0, features, 1, self._size)
             check_range(0, following, 1, self._size)
         return delta, next_value
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, decay: float, estimate: float
+    ) -> tuple[FloatArray, float]:
+        """Do `step` from each row of binary features to the next; return values and estimate."""
+        found, rows = np.empty(len(rewards)), np.require(coded, np.int64, ["C", "W"])
+        following = np.require(rewards, np.float64, ["C", "W"])
+        numbers = gamma, decay, estimate, *self._limits
+        return found, self._kernels.follow(self._cells, rows, ALL_ONES, following, *numbers, found)
 
     def restored(self) -> None:
         """Find the support: what has a trace, and what had one until the last step."""

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
 from rtagent import kernels
-from rtagent.experience import FeatureVector, FloatArray
+from rtagent.experience import FeatureVector, FloatArray, IndexArray
 from rtagent.learning.lazy import LazyTraces
 from rtagent.learning.linear import (
     BOUND,
@@ -35,6 +36,8 @@ from rtagent.saving import Saved
 
 WORTH_COMPILING = 1000
 """From so many weights on, with more than one active feature, a quicker update is worth loading the compiler."""
+LARGE_TABLE = 20_000
+"""And from so many on with one: where a trace decays, the dense form goes through all of them at every step."""
 
 
 class Traces(Protocol):
@@ -66,6 +69,18 @@ class Traces(Protocol):
         `estimate` is the value that the step before gave to this state, NaN before the first.
         """
 
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features, shape (n + 1, active), to the next.
+
+        Return the values of all but the last, shape (n,), each before its step, and the estimate: NaN, from where
+        learning diverges.
+        """
+
     def reset(self) -> None:
         """Set the trace to 0."""
 
@@ -74,6 +89,9 @@ class Traces(Protocol):
 
         How much of it was done changes no bit of what is predicted or learned.
         """
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weights of feature `like`, and no trace."""
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -84,7 +102,7 @@ class Traces(Protocol):
 
 def worth_compiling(rows: int, size: int, active: int) -> bool:
     """Whether what is learned is large enough for kernels."""
-    return active > 1 and rows * size >= WORTH_COMPILING
+    return rows * size >= (WORTH_COMPILING if active > 1 else LARGE_TABLE)
 
 
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
@@ -154,6 +172,23 @@ class DenseTraces:
         self._move(row, features, delta, decay)
         return delta, next_value
 
+    def each_value(self, coded: IndexArray) -> FloatArray:
+        """Return the values of the first row for binary features, a row of indices each, shape (n,)."""
+        return np.array([self.value(0, FeatureVector(indices)) for indices in coded], dtype=float)
+
+    def follow(
+        self, coded: IndexArray, rewards: FloatArray, gamma: float, estimate: float, alpha: float, decay: float
+    ) -> tuple[FloatArray, float]:
+        """Do `dutch` from each row of binary features to the next; return values and estimate."""
+        values = np.full(len(rewards), math.nan)
+        vectors = [FeatureVector(indices) for indices in coded]
+        for step, ((features, following), reward) in enumerate(zip(pairwise(vectors), rewards, strict=True)):
+            values[step] = self.value(0, features)
+            delta, estimate = self.dutch(0, features, 0, following, float(reward), gamma, estimate, alpha, decay)
+            if not math.isfinite(delta):
+                return values, math.nan
+        return values, estimate
+
     def reset(self) -> None:
         """Set the trace to 0."""
         if not self._empty:
@@ -163,6 +198,11 @@ class DenseTraces:
     def folding(self) -> Generator[None, None, None]:
         """Do nothing: an update leaves nothing to do."""
         yield from ()
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._weights[:, place] = self._weights[:, like]
+        self._trace[:, place] = 0.0
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size)."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
-from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.learning.learner import checked, parts_of, taken
+from rtagent.errors import SpecError
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, Transition
+from rtagent.learning.learner import DIVERGED, checked, parts_of, taken
 from rtagent.learning.linear import NOTHING
 from rtagent.learning.steps import Fraction, GammaPer, Rates, step_size
 from rtagent.learning.traces import make_traces
@@ -69,6 +70,27 @@ class TrueOnlineTD:
         delta = self.update(transition)
         yield from self._theta.folding()
         return delta
+
+    def predict_each(self, coded: IndexArray) -> FloatArray:
+        """Return what `predict` would for binary features, a row of indices each, shape (n, active)."""
+        return self._theta.each_value(coded)
+
+    def follow(self, coded: IndexArray, rewards: FloatArray) -> FloatArray:
+        """Learn from a stream at once: from each row of binary features, shape (n + 1, active), to the next.
+
+        Return what was predicted of each but the last before it was learned from, shape (n,): the same as `predict`
+        and `update` in turn, to the last bit. Raises `SpecError` where learning diverges, with what it had learned.
+        """
+        gamma, decay = self._rates.constant
+        predictions, estimate = self._theta.follow(coded, rewards, gamma, self._estimate, self.alpha, decay)
+        if not math.isfinite(estimate):
+            raise SpecError(DIVERGED)
+        self._estimate = estimate
+        return predictions
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._theta.inherit(place, like)
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
@@ -130,6 +152,10 @@ class TrueOnlineSarsa:
         delta = self.update(transition)
         yield from self._q.folding()
         return delta
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._q.inherit(place, like)
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""

@@ -17,7 +17,7 @@ from rtagent.errors import SpecError
 from rtagent.scenario import assemble, load
 from rtagent.testing import DeviceContract
 from rtagent.units import ms, second
-from rtagent_drivers.arduino.bodies import CONTACT, LEAST, MOST, Glove, Hand
+from rtagent_drivers.arduino.bodies import BODIES, CONTACT, LEAST, MOST, Hand
 from rtagent_drivers.arduino.driver import arduino
 from rtagent_drivers.arduino.fakes import EmulatedArduinoWithServos, in_process, on_wire
 from rtagent_drivers.arduino.settings import Channel, FakeSettings, Servo
@@ -94,7 +94,7 @@ def test_a_finger_that_meets_an_object_presses_on_it() -> None:
 
 
 def test_bodies_are_functions_of_time_that_their_seed_decides() -> None:
-    for body in (Hand(grasps=True), Glove()):
+    for body in (BODIES["grasping"](), BODIES["glove"]()):
         readings = []
         for seed in (1, 1, 2):
             body.begin(0, np.random.default_rng(seed))

@@ -184,6 +184,9 @@ class Patches:
 
     rate = 200.0
 
+    def begin(self, now: int) -> None:
+        pass
+
     def taken(self, number: int) -> int:
         return number * 5 * ms
 

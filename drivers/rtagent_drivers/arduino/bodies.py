@@ -1,4 +1,4 @@
-"""What may be on a board's pins: a hand whose joints follow its servos, and a glove that makes gestures.
+"""What may be on a board's pins: a hand that follows its servos, or hand and glove of the grasping experiment.
 
 All is a function of time; nothing asks what time it is. Readings are those of an AVR's converter, 0 to 1023.
 """
@@ -9,15 +9,22 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
+from rtagent.experience import FloatArray
 from rtagent.saving import Saved
+from rtagent.streams import shared
 from rtagent.units import ms, second
 from rtagent_drivers.arduino.layouts import HANDI_PINS
 from rtagent_drivers.arduino.messages import LARGEST_READING
+from rtagent_drivers.grasping.assumed import JOINTS
+from rtagent_drivers.grasping.hands import Gestures, Grasp
+from rtagent_drivers.grasping.noise import bits, salt, salts
+from rtagent_drivers.grasping.session import EXPERIMENT, Session, Times
 
 NOISE = 2
 """Readings are off by up to so much."""
@@ -34,8 +41,6 @@ CONTACT = 0.55
 
 STIFFNESS = 2.0
 """How much of its range a force sensor shows for a servo that is a whole range beyond contact."""
-
-MASK = (1 << 64) - 1
 
 
 class Body(Protocol):
@@ -55,6 +60,14 @@ class Body(Protocol):
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned, when it has begun."""
+
+
+@runtime_checkable
+class Scanning(Protocol):
+    """A body that can be asked for many moments at once."""
+
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what is read at these times (ns), shape (n,), by the names of pins and of fields."""
 
 
 class Rhythm:
@@ -112,22 +125,15 @@ class Digit:
 
 
 class Hand:
-    """A hand of six digits in which something lies now and then; its button is pressed now and then, too.
+    """A hand whose six digits follow their servos; now and then something lies in it, or its button is pressed."""
 
-    Its digits follow their servos, or with `grasps` close and open by themselves.
-    """
-
-    CLOSING = 600 * ms
-
-    def __init__(self, *, grasps: bool = False) -> None:
-        self._grasps = grasps
+    def __init__(self) -> None:
         self.begin(0, np.random.default_rng(0))
 
     def begin(self, now: int, rng: Generator) -> None:
         """Open the hand, and draw when something lies in it and when its button is pressed."""
         self._digits = [Digit(now) for _ in range(6)]
         self._object = Rhythm(now, _spans(rng, 2 * second, 4 * second))
-        self._grasp = Rhythm(now, _spans(rng, 1 * second, 3 * second))
         self._button = Rhythm(now, _alternating(rng, (2 * second, 6 * second), (200 * ms, 500 * ms)))
 
     def turn(self, now: int, servo: int, goal: float | None, speed: float = FASTEST) -> None:
@@ -141,9 +147,9 @@ class Hand:
             pressed = self._button.at(time)[0] % 2
             return int(not pressed) if pin.isdigit() else pressed
         if field[:1] == "D" and field != "D1I":
-            return _noisy(LEAST + (MOST - LEAST) * self._place(int(field[1]), time), field, time)
+            return _reading(_flexed(self._place(int(field[1]), time)), field, time)
         if field.startswith("FSR"):
-            return _noisy(LARGEST_READING * self._force(int(field[3:]), time), field, time)
+            return _reading(LARGEST_READING * self._force(int(field[3:]), time), field, time)
         return 0
 
     def save(self) -> Saved:
@@ -156,52 +162,50 @@ class Hand:
             digit.restore(way)
 
     def _place(self, digit: int, time: int) -> float:
-        place, _ = self._aim(digit, time)
+        place = self._digits[digit].way(time).at(time)
         return min(place, CONTACT) if self._holds(time) else place
 
     def _force(self, digit: int, time: int) -> float:
-        place, limp = self._aim(digit, time)
-        return 0.0 if limp or not self._holds(time) else min(1.0, STIFFNESS * max(0.0, place - CONTACT))
-
-    def _aim(self, digit: int, time: int) -> tuple[float, bool]:
-        """Return where a digit would be if nothing were in its way, and whether it is limp."""
-        if not self._grasps:
-            way = self._digits[digit].way(time)
-            return way.at(time), way.limp
-        number, since = self._grasp.at(time)
-        closed = minimum_jerk(since / self.CLOSING)
-        return closed if number % 2 else 1.0 - closed, False
+        way = self._digits[digit].way(time)
+        if way.limp or not self._holds(time):
+            return 0.0
+        return min(1.0, STIFFNESS * max(0.0, way.at(time) - CONTACT))
 
     def _holds(self, time: int) -> bool:
         return bool(self._object.at(time)[0] % 2)
 
 
-class Glove:
-    """A glove of six bend sensors, worn by a hand that goes from gesture to gesture with minimum jerk."""
+class Part(Protocol):
+    """Who takes part in the grasping experiment, with a board."""
 
-    GESTURES = 64
-    MOVING = 400 * ms
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what is read at these times since the experiment began, by the names of pins and of fields."""
 
-    def __init__(self) -> None:
+
+class Modelled:
+    """A body of the grasping experiment (`rtagent_drivers.grasping`): it moves by itself."""
+
+    def __init__(self, make: Callable[[Session], Part]) -> None:
+        self._make = make
         self.begin(0, np.random.default_rng(0))
 
     def begin(self, now: int, rng: Generator) -> None:
-        """Draw the gestures, and how long each takes."""
-        self._bends = rng.random((self.GESTURES, 6))
-        self._gestures = Rhythm(now, [int(each) for each in rng.integers(second, 2 * second, self.GESTURES)])
+        """Begin the experiment; bodies and cameras whose streams are of one episode meet the same trials."""
+        self._began, self._scanned = now, now - 1
+        self._part = self._make(Session(shared(rng, EXPERIMENT)))
 
     def turn(self, now: int, servo: int, goal: float | None, speed: float = FASTEST) -> None:
-        """Do nothing: there are no servos."""
+        """Do nothing: what it does is the experiment's."""
 
     def reading(self, pin: str, time: int) -> int:
-        """Return what a bend sensor reads; pins without one read 0."""
-        if pin not in BENDS:
-            return 0
-        finger = BENDS.index(pin)
-        number, since = self._gestures.at(time)
-        share = minimum_jerk(since / self.MOVING)
-        bend = (1.0 - share) * self._bends[number - 1, finger] + share * self._bends[number, finger]
-        return _noisy(LEAST + (MOST - LEAST) * bend, pin, time)
+        """Return what is read at a pin, 0 where nothing is."""
+        if time != self._scanned:
+            self._readings, self._scanned = self.scan(np.array([time])), time
+        return int(self._readings[pin][0]) if pin in self._readings else 0
+
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what is read at these times (ns), shape (n,), by the names of pins and of fields."""
+        return self._part.scan(times - self._began)
 
     def save(self) -> Saved:
         """Return nothing: all follows from when and from what it began."""
@@ -211,21 +215,46 @@ class Glove:
         """Do nothing."""
 
 
+class GraspingHand:
+    """The hand that closes around each object; its button is pressed when a trial begins."""
+
+    FIELDS = (*JOINTS, *(f"FSR{number}" for number in range(1, 6)))
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._grasp, self._salts = session, Grasp(session), salts(self.FIELDS)
+
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what its sensors read, as fields of the older sketch and as pins of its Mega."""
+        exact = np.zeros((len(self.FIELDS), len(times)))
+        exact[: len(JOINTS)] = _flexed(self._grasp.joints(times))
+        exact[len(JOINTS)] = LARGEST_READING * self._grasp.thumb_force(times)
+        found = dict(zip(self.FIELDS, _readings(exact, times, self._salts), strict=True))
+        pressed = self._session.pressed(times).astype(np.int64)
+        pins = {HANDI_PINS[field]: readings for field, readings in found.items()}
+        return found | pins | {"M": pressed, HANDI_PINS["M"]: 1 - pressed}
+
+
+class Glove:
+    """A glove of six bend sensors, worn by who makes a gesture for each object that the hand holds."""
+
+    def __init__(self, session: Session) -> None:
+        self._gestures, self._salts = Gestures(session), salts(BENDS)
+
+    def scan(self, times: Times) -> Mapping[str, Times]:
+        """Return what its sensors read."""
+        exact = _flexed(self._gestures.bends(times))
+        return dict(zip(BENDS, _readings(exact, times, self._salts), strict=True))
+
+
 BODIES: Mapping[str, Callable[[], Body]] = {
     "hand": Hand,
-    "grasping": partial(Hand, grasps=True),
-    "glove": Glove,
+    "grasping": partial(Modelled, GraspingHand),
+    "glove": partial(Modelled, Glove),
 }
 """What may be on the pins, by the names that settings give it."""
 
 FIELDS = {pin: field for field, pin in HANDI_PINS.items()}
 BENDS = tuple(f"A{number}" for number in range(6))
-
-
-def minimum_jerk(done: float) -> float:
-    """Return which part of its way a limb has gone after a part of its time (Flash and Hogan 1985)."""
-    done = min(1.0, done)
-    return done**3 * (10.0 - 15.0 * done + 6.0 * done**2)
 
 
 def _spans(rng: Generator, least: int, most: int) -> list[int]:
@@ -237,9 +266,19 @@ def _alternating(rng: Generator, first: tuple[int, int], second_: tuple[int, int
     return [span for pair in pairs for span in pair]
 
 
-def _noisy(reading: float, pin: str, time: int) -> int:
-    """Return a reading with noise that is a function of time."""
-    mixed = (time * 0x9E3779B97F4A7C15 + sum(pin.encode()) * 0xBF58476D1CE4E5B9) & MASK
-    mixed = (mixed ^ mixed >> 29) * 0x94D049BB133111EB & MASK
-    noise = (mixed >> 40) % (2 * NOISE + 1) - NOISE
-    return min(max(round(reading) + noise, 0), LARGEST_READING)
+def _flexed(place: Any) -> Any:
+    """Return what a potentiometer reads at a fraction of its range."""
+    return LEAST + (MOST - LEAST) * place
+
+
+def _reading(exact: float, field: str, time: int) -> int:
+    """Return what a converter reads, noise included."""
+    noise = int(bits(time, salt(field))) % (2 * NOISE + 1) - NOISE
+    return min(max(round(exact) + noise, 0), LARGEST_READING)
+
+
+def _readings(exact: FloatArray, times: Times, salted: NDArray[np.uint64]) -> Times:
+    """Return what converters read at each of these times, shape (channels, n)."""
+    noise = np.int64(bits(times, salted) % (2 * NOISE + 1)) - NOISE
+    found: Times = np.minimum(np.maximum(np.rint(exact).astype(np.int64) + noise, 0), LARGEST_READING)
+    return found

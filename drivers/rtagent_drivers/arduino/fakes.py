@@ -5,21 +5,24 @@ Both take the driver's settings, and obey its limits by its own code.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
 from rtagent.device import LastResort
-from rtagent.experience import Command, Stimulus, Values
+from rtagent.experience import Command, FloatArray, Stimulus, Values
 from rtagent.saving import Saved, restore_parts, save_parts
-from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body
+from rtagent_drivers.arduino.bodies import BODIES, FASTEST, Body, Scanning
 from rtagent_drivers.arduino.device import Arduino, ArduinoWithServos
 from rtagent_drivers.arduino.servos import Ramp
 from rtagent_drivers.arduino.settings import Servo, Settings, actuator, value
 from rtagent_drivers.emulation.starting import Emulation
+from rtagent_drivers.emulation.world_time import began_on_the_wire
 from rtagent_drivers.fake import LimitedFake, Sampling
+from rtagent_drivers.grasping.session import Times
 
 EMULATOR = "rtagent_drivers.arduino.emulated.pty"
 
@@ -47,6 +50,12 @@ class BoardWorld:
         """Return what the channels read at `time`."""
         channels = zip(self._settings.inputs.items(), self._settings.pins, strict=True)
         return {name: value(channel, pin, self._body.reading(pin, time)) for (name, channel), pin in channels}
+
+    def columns(self, times: Times) -> Mapping[str, FloatArray]:
+        """Return what the channels read at these times (ns), shape (n,)."""
+        read = self._readings(times)
+        channels = zip(self._settings.inputs.items(), self._settings.pins, strict=True)
+        return {name: value(channel, pin, read[pin]).astype(np.float64) for (name, channel), pin in channels}
 
     def command(self, now: int, command: Command) -> Command:
         """Send servos on their way; return where they go."""
@@ -77,6 +86,12 @@ class BoardWorld:
         """Take what `save` returned, when it has begun."""
         self._body.restore(saved["body"])
         restore_parts(self._ramps, saved["ramps"])
+
+    def _readings(self, times: Times) -> Mapping[str, Times]:
+        pins, nothing = self._settings.pins, np.zeros(len(times), np.int64)
+        if isinstance(self._body, Scanning):
+            return dict.fromkeys(pins, nothing) | dict(self._body.scan(times))
+        return {pin: np.array([self._body.reading(pin, time) for time in times.tolist()]) for pin in pins}
 
     def _turn(self, now: int, name: str, goal: float) -> None:
         servo = self._servos[name]
@@ -135,7 +150,7 @@ def on_wire(**given: Any) -> Arduino:
 def _arguments(settings: Settings) -> list[str]:
     told = ["glovi" if settings.body == "glove" else "handi", "--body", settings.body]
     told += ["--format", settings.format, "--rate", f"{settings.hertz!r}Hz", "--baud", f"{settings.bits}baud"]
-    told += ["--drift", repr(settings.fake.drift)]
+    told += ["--drift", repr(settings.fake.drift), "--since", str(began_on_the_wire())]
     if not settings.layout.legacy:
         servos = ",".join(str(servo.pin) for servo in settings.servos.values())
         told += ["--channels", ",".join(settings.pins), "--servos", servos]

@@ -111,10 +111,10 @@ class Servo:
 class FakeSettings:
     """How the driver's fakes behave.
 
-    `body` is what is on the pins: a hand whose joints follow its servos, one that is grasping by itself, or a glove
-    that makes gestures (without it: a hand where there are servos, else a glove). `faults` are those of a fake in
-    the process, `wire` those of an emulated board (see `rtagent emulate`), each as JSON; `drift` says by how much
-    the emulated clock is fast.
+    `body` is what is on the pins: a hand whose joints follow its servos, or, of the grasping experiment, the hand
+    that is grasping by itself, or the glove (without it: a hand where there are servos, else a glove). `faults` are
+    those of a fake in the process, `wire` those of an emulated board (see `rtagent emulate`), each as JSON; `drift`
+    says by how much the emulated clock is fast.
     """
 
     __pydantic_config__: ClassVar = CLOSED_SETTINGS
@@ -210,10 +210,10 @@ def actuator(servo: str) -> str:
     return f"{servo}_position"
 
 
-def value(channel: Channel, pin: str, reading: int) -> float | bool:
-    """Return what a reading means."""
+def value(channel: Channel, pin: str, reading: Any) -> Any:
+    """Return what a reading means, or each of an array of them."""
     if is_switch(pin):
-        return bool(reading) != channel.inverted
+        return (reading != 0) != channel.inverted
     return channel.low + (channel.high - channel.low) * (reading / LARGEST_READING)
 
 

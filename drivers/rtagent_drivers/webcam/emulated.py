@@ -79,6 +79,7 @@ class EmulatedKernel:
         now = RealClock.now()
         if self._began is None:
             self._began = now
+            self._clip.begin(now)
         if self._gone(now):
             raise OSError(errno.ENOENT, "no such file", path)
         if self._files:

@@ -65,6 +65,7 @@ class ClipCapture:
     def __init__(self, clip: Clip, fake: FakeCamera, gives_up: int = 10 * second) -> None:
         self._clip, self._fake, self._gives_up = clip, fake, gives_up
         self.began, self._number = RealClock.now(), -1
+        clip.begin(self.began)
         self._hangs_at = sorted(fake.faults.hang_at)
         self._gone = Event()
 

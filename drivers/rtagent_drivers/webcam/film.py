@@ -41,6 +41,9 @@ class Film:
         """Return how many frames it has."""
         return len(self._times)
 
+    def begin(self, now: int) -> None:
+        """Do nothing: it begins with its first frame, whenever that is."""
+
     def taken(self, number: int) -> int:
         """Return when frame `number` is taken; after the last the first follows."""
         rounds, place = divmod(number, len(self._times))

@@ -8,9 +8,9 @@ from typing import Any
 from rtagent.experiments.experiment import Cell, Options, Row
 from rtagent.experiments.scenarios import run_scenario
 from rtagent.result import Result
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
-SCHEDULES = tuple(PRESETS)
+SCHEDULES = FIXED
 DELAYS_MS = (0, 50, 100, 250, 500)
 THESIS = ("standard", "reactive")
 TRIALS, QUICK_TRIALS, QUICK_TRIALS_OF_OURS = 30, 10, 2

@@ -61,7 +61,7 @@ def _emulate(given: argparse.Namespace) -> None:
     with log_to(given.log) as log:
         now = RealClock.now()
         body = BODIES[given.body or ("hand" if given.board == "handi" else "glove")]()
-        body.begin(now, np.random.default_rng(given.seed))
+        body.begin(given.since or now, np.random.default_rng(given.seed))
         basics = _make(given), body, now, partial(_line_baud, terminal), log
         board = ResetByOpening(*basics, terminal.was_opened) if given.auto_reset else EmulatedBoard(*basics)
         way = Way(linger=given.linger)
@@ -176,6 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--boot", type=TIME.parse, default=0, help="how long it takes to start, such as 1s")
     parser.add_argument("--auto-reset", action="store_true", help="opening the port resets it")
     parser.add_argument("--seed", type=int, default=0, help="of what happens on its pins")
+    parser.add_argument("--since", type=int, default=0, metavar="NS", help="when that began (monotonic)")
     return parser
 
 
