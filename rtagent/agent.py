@@ -22,9 +22,9 @@ from rtagent.checkpoint.plain import (
     taken_features,
 )
 from rtagent.errors import ScheduleError, SpecError
-from rtagent.experience import FeatureVector, Outcome, State, Transition
-from rtagent.features import FeatureCoder, Remembering
-from rtagent.learning import ControlLearner, PredictionLearner
+from rtagent.experience import FeatureVector, Move, Outcome, State, Transition
+from rtagent.features import FeatureCoder, Moving, Remembering
+from rtagent.learning import ControlLearner, Inheriting, PredictionLearner
 from rtagent.policy import Policy
 from rtagent.saving import Saveable, Saved, restore_parts, save_parts
 from rtagent.streams import restored_stream, save_stream
@@ -57,8 +57,14 @@ class Agent:
         self.features, self.learner, self.policy = features, learner, policy
         self.rng = rng if rng is not None else np.random.default_rng()
         self.queue: deque[Transition] = deque()
+        if isinstance(features, Moving) and not isinstance(learner, Inheriting):
+            raise SpecError(
+                f"prototypes move here, and {type(learner).__name__} cannot hand weights on: give it `inherit`, "
+                "or take another coder, such as selective_kanerva."
+            )
         self.keeps_transitions = True
         self.not_kept = 0
+        self._moves: tuple[Move, ...] = ()
         self.begin()
 
     def begin(self) -> None:
@@ -91,6 +97,17 @@ class Agent:
         return self._features
 
     @property
+    def fresh(self) -> bool:
+        """Whether there is an observation newer than the last choice."""
+        return self._fresh
+
+    @property
+    def sees_change(self) -> bool:
+        """Whether the newest observation has other features than the one that was chosen from last."""
+        chosen, newest = self.chosen, self._features
+        return newest is not None and (chosen is None or not _equal(chosen.features, newest))
+
+    @property
     def awaits_next_action(self) -> bool:
         """Whether the newest transition is complete only with the next choice."""
         return self._incomplete is not None
@@ -109,6 +126,8 @@ class Agent:
         episode always closes one, under the action that is still in force.
         """
         features = self.features.encode(outcome.state)
+        if isinstance(self.features, Moving):
+            self._moves += self.features.take_moves()
         self._reward += outcome.reward
         closed = None
         if self._acted or self._closes(outcome):
@@ -202,6 +221,7 @@ class Agent:
     def _enqueue(self, transition: Transition, time: int) -> None:
         if self.keeps_transitions:
             transition.complete_at = time
+            transition.moves, self._moves = self._moves, ()
             self.queue.append(transition)
         else:
             self.not_kept += 1
@@ -216,6 +236,7 @@ class Agent:
             "queue": [save_transition(transition) for transition in self.queue],
             "keeps_transitions": self.keeps_transitions,
             "not_kept": self.not_kept,
+            "moves": [list(move) for move in self._moves],
             "step": self._save_step(),
         }
 
@@ -228,6 +249,7 @@ class Agent:
         self.queue.clear()
         self.queue.extend(queue)
         self.keeps_transitions, self.not_kept = saved["keeps_transitions"], saved["not_kept"]
+        self._moves = tuple(Move(*move) for move in saved["moves"])
         self._restore_step(step)
 
     def break_off(self) -> None:
@@ -270,6 +292,15 @@ class Agent:
         self.chosen = self._in_force if saved["chosen"] == "in force" else _restored_decision(saved["chosen"])
         incomplete = saved["incomplete"]
         self._incomplete = None if incomplete is None else restored_transition(incomplete)
+
+
+def _equal(one: FeatureVector, other: FeatureVector) -> bool:
+    """Say whether two feature vectors are the same, quickly where they are small."""
+    if one.indices.tobytes() != other.indices.tobytes():
+        return False
+    if one.values is None or other.values is None:
+        return one.values is other.values
+    return one.values.tobytes() == other.values.tobytes()
 
 
 def _save_decision(decision: Decision | None) -> Saved | None:

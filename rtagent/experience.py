@@ -74,6 +74,13 @@ class FeatureVector(NamedTuple):
     values: FloatArray | None = None
 
 
+class Move(NamedTuple):
+    """A feature that has become another: feature `place`, whose weight is now to be that of feature `like`."""
+
+    place: int
+    like: int
+
+
 @dataclass(slots=True)
 class Transition:
     """What learning needs of one step.
@@ -83,6 +90,7 @@ class Transition:
     a run that only predicts, `next_action` also where the learner does not need it. `elapsed` is in ns, and so is
     `complete_at`, the time of the observation with which it was complete.
     A truncated transition does not end the return: it bootstraps from `next_features`.
+    `moves` are of features that became others up to `next_features`, since the transition before: they come first.
     """
 
     features: FeatureVector
@@ -97,6 +105,7 @@ class Transition:
     state: State = ()
     next_state: State = ()
     complete_at: int = 0
+    moves: tuple[Move, ...] = ()
 
     @property
     def last(self) -> bool:

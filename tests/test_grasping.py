@@ -1,9 +1,10 @@
-"""The grasping experiment's modelled world: its trials, what its devices show of them, and the stream of all three."""
+"""The grasping experiment: its trials, what its devices show of them, and the stream of all three."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_each_object_comes_as_often_as_in_the_thesis_and_in_no_order(session: Se
     kinds = [(THINGS[thing].colour, THINGS[thing].stepped) for thing in session.things]
     counted = {("green", False): 31, ("orange", True): 33, ("green", True): 33, ("orange", False): 34}
     assert Counter(kinds) == counted
-    assert sum(one != other for one, other in zip(kinds, kinds[1:], strict=False)) > 65
+    assert sum(one != other for one, other in pairwise(kinds)) > 65
     assert Session(np.random.default_rng(2)).things.tolist() != session.things.tolist()
 
 
@@ -78,7 +79,10 @@ def test_no_finger_begins_or_goes_back_before_the_hand_has_moved(session: Sessio
 
 def test_the_hand_closes_after_three_seconds_holds_for_three_and_opens(session: Session) -> None:
     grasp, index = Grasp(session), list(JOINTS).index("D2I")
-    opened, closed = grasp.joints(within_trials(session, 2.99))[index], grasp.joints(within_trials(session, 3.6))[index]
+    opened, closed = (
+        grasp.joints(within_trials(session, 2.99))[index],
+        grasp.joints(within_trials(session, 3.6))[index],
+    )
     assert (closed - opened).min() > 0.3
     assert np.allclose(grasp.joints(within_trials(session, 6.0))[index], closed)
     assert np.allclose(grasp.joints(within_trials(session, 6.6))[index], opened)

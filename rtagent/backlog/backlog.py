@@ -61,6 +61,9 @@ class Update:
 
     def step(self) -> bool:
         """Do a piece of the learner's work, or all where it has no pieces; say whether that was the last."""
+        if self._pieces is None:
+            for move in self.transition.moves:
+                self._learner.inherit(*move)
         if not self._sliced:
             self.delta = self._learner.update(self.transition)
             return True

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rtagent.experience import FeatureVector, Sample, State, Stimulus, Transition
+from rtagent.experience import FeatureVector, Move, Sample, State, Stimulus, Transition
 from rtagent.features.paired import PairedVector
 from rtagent.saving import Saved
 from rtagent.specs import Value
@@ -61,6 +61,7 @@ def save_transition(transition: Transition) -> Saved:
         "next_features": save_features(transition.next_features),
         "state": save_state(transition.state),
         "next_state": save_state(transition.next_state),
+        "moves": [list(move) for move in transition.moves],
     }
 
 
@@ -71,6 +72,7 @@ def restored_transition(saved: Mapping[str, Any]) -> Transition:
         next_features=taken_features(saved["next_features"]),
         state=restored_state(saved["state"]),
         next_state=restored_state(saved["next_state"]),
+        moves=tuple(Move(*move) for move in saved["moves"]),
         **{name: saved[name] for name in PLAIN},
     )
 

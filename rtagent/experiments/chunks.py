@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from rtagent.errors import SpecError
-from rtagent.experience import FloatArray, IndexArray
+from rtagent.experience import FloatArray, IndexArray, Move
 
 Key = TypeVar("Key")
+
 CHUNK = 8192
 """So many rows are coded at once."""
 
@@ -33,6 +34,19 @@ class Follows(Protocol):
     def predict_each(self, coded: IndexArray) -> FloatArray:
         """Return the predictions for rows of features."""
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+
+
+@runtime_checkable
+class Adapts(Protocol):
+    """A coder whose prototypes move, one in `interval` rows."""
+
+    interval: int
+
+    def adapt(self, state: FloatArray) -> Sequence[Move]:
+        """Move a prototype to a state, if one may; return which features have become others."""
+
 
 def follow_chunks(
     states: FloatArray,
@@ -48,16 +62,18 @@ def follow_chunks(
     `until`. From where a learner diverges on, its predictions are NaN.
     """
     predictions = {name: np.full(len(states), np.nan) for name in learners}
-    going = dict(learners)
+    going, chunk = dict(learners), coder.interval if isinstance(coder, Adapts) else CHUNK
     until = min(until, len(states) - 1)
-    for first, end in _chunks(0, until):
+    for first, end in _chunks(0, until, chunk):
         coded = _coded(coder, states[first : end + 1])
         for name, learner in list(going.items()):
             try:
                 predictions[name][first:end] = learner.follow(coded, cumulants[name][first:end])
             except SpecError:  # it has diverged
                 del going[name]
-    for first, end in _chunks(until, len(states)):
+        if isinstance(coder, Adapts):
+            _hand_on(coder.adapt(states[end]), going)
+    for first, end in _chunks(until, len(states), CHUNK):
         coded = _coded(coder, states[first:end])
         for name, learner in going.items():
             predictions[name][first:end] = learner.predict_each(coded)
@@ -70,5 +86,11 @@ def _coded(coder: CodesEach, states: FloatArray) -> IndexArray:
     return indices
 
 
-def _chunks(first: int, end: int) -> Iterator[tuple[int, int]]:
-    return ((start, min(start + CHUNK, end)) for start in range(first, end, CHUNK))
+def _hand_on(moves: Sequence[Move], learners: Mapping[Key, Follows]) -> None:
+    for place, like in moves:
+        for learner in learners.values():
+            learner.inherit(place, like)
+
+
+def _chunks(first: int, end: int, length: int) -> Iterator[tuple[int, int]]:
+    return ((start, min(start + length, end)) for start in range(first, end, length))

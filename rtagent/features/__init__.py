@@ -1,6 +1,7 @@
 """Feature coders: from a state to the indices (and values) of its active features."""
 
-from rtagent.features.coder import FeatureCoder, Remembering
+from rtagent.features.adaptive import AdaptiveKanerva
+from rtagent.features.coder import FeatureCoder, Moving, Remembering
 from rtagent.features.inputs import Composed, DataTrace, Inputs, Traced
 from rtagent.features.kanerva import KanervaCoding, SelectiveKanerva
 from rtagent.features.paired import PairedCoder, PairedVector
@@ -10,12 +11,14 @@ from rtagent.features.tiles import TileCoding
 from rtagent.features.tilings import Tilings
 
 __all__ = [
+    "AdaptiveKanerva",
     "Binned",
     "Composed",
     "DataTrace",
     "FeatureCoder",
     "Inputs",
     "KanervaCoding",
+    "Moving",
     "OneHot",
     "PairedCoder",
     "PairedVector",

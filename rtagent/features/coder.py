@@ -7,7 +7,7 @@ from functools import partial
 from typing import Protocol, cast, runtime_checkable
 
 from rtagent.errors import SpecError
-from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
+from rtagent.experience import FeatureVector, FloatArray, IndexArray, Move, State
 
 vector = cast(
     "Callable[[tuple[IndexArray, FloatArray | None]], FeatureVector]", partial(tuple.__new__, FeatureVector)
@@ -35,6 +35,14 @@ class Remembering(Protocol):
 
     def begin(self) -> None:
         """Begin an episode: forget the last one."""
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """A coder whose features become others."""
+
+    def take_moves(self) -> tuple[Move, ...]:
+        """Return which features have become others since this was last asked, in their order."""
 
 
 def parts_of(signal: str, parts: int | Mapping[str, int], key: str) -> int:

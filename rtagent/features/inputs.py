@@ -12,7 +12,7 @@ import numpy as np
 
 from rtagent.errors import SpecError, did_you_mean
 from rtagent.experience import FeatureVector, FloatArray, IndexArray, State
-from rtagent.features.coder import FeatureCoder, Remembering
+from rtagent.features.coder import FeatureCoder, Moving, Remembering
 from rtagent.features.normalise import Outside, UnitCube
 from rtagent.saving import Saveable, Saved, restore_fields, restore_parts, save_fields, save_parts
 from rtagent.specs import Spec
@@ -161,6 +161,8 @@ class Composed:
     def __init__(self, inputs: Inputs, coder: FeatureCoder, *, bias: bool = False) -> None:
         self.inputs, self.coder = inputs, coder
         self.size, self.active = coder.size + bias, coder.active + bias
+        if isinstance(coder, Moving):
+            self.take_moves = coder.take_moves
         self._bias: IndexArray | None = np.array([coder.size], dtype=np.intp) if bias else None
 
     def begin(self) -> None:

@@ -68,6 +68,14 @@ class SelectiveKanerva:
         """
         return self._selector.encode_each(states)
 
+    def point(self, state: State) -> FloatArray:
+        """Return where a state lies in the unit cube, shape (signals,), clipped without being counted."""
+        return self._cube.point(state)
+
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the `prototypes`."""
+        self._selector.moved(places)
+
     @property
     def clipped(self) -> Mapping[str, int]:
         """How many values lay outside their range, by signal."""

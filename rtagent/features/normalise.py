@@ -45,6 +45,11 @@ class UnitCube:
         unit: FloatArray = (self.inside(state) - self.low) / self.span
         return unit
 
+    def point(self, state: State) -> FloatArray:
+        """Return the state in the unit cube, clipped, without counting; raise `SpecError` for another shape."""
+        unit: FloatArray = (np.clip(self._values(state), self.low, self.high) - self.low) / self.span
+        return unit
+
     def inside(self, state: State) -> FloatArray:
         """Return the state within its ranges, in its own units.
 

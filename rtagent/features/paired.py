@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, State
-from rtagent.features.coder import FeatureCoder, Remembering
+from rtagent.features.coder import FeatureCoder, Moving, Remembering
 from rtagent.saving import Saveable, Saved, restore_parts, save_parts
 
 
@@ -24,6 +25,11 @@ class PairedCoder:
     """
 
     def __init__(self, control: FeatureCoder, horde: FeatureCoder) -> None:
+        if any(isinstance(each, Moving) for each in (control, horde)):
+            raise SpecError(
+                "prototypes that move are for one learner, and here a Horde learns beside control: "
+                "take another coder for both, such as selective_kanerva."
+            )
         self.control, self.horde = control, horde
         self.size, self.active = control.size, control.active
 

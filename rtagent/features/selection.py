@@ -49,6 +49,9 @@ class Selector(Protocol):
     def encode_each(self, states: FloatArray) -> tuple[IndexArray, FloatArray | None]:
         """Return the features of successive states, a row each: their indices, and their values if any."""
 
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the prototypes."""
+
 
 def selector(cube: UnitCube, selection: Selection) -> Selector:
     """Return what makes features of a state: compiled where there is a compiler."""
@@ -82,6 +85,9 @@ class PlainSelector:
         indices = np.array([each.indices for each in coded], np.intp).reshape(len(states), -1)
         return indices, np.array([each.values for each in coded]) if self._selection.proximity else None
 
+    def moved(self, places: IndexArray) -> None:
+        """Do nothing: prototypes are read each time."""
+
     def _values(self, measured: FloatArray, count: int) -> FloatArray:
         """Return by how much each of the nearest is nearer than the first left out, summing to `count`."""
         if not self._selection.proximity:
@@ -112,6 +118,8 @@ class CompiledSelector:
         )
         remembered = np.full((sets, module.ANCHOR + signals + layers), 0.1)
         remembered[:, module.LISTED], remembered[:, module.GAP] = 0.0, np.inf
+        self._prototypes, self._columns = selection.prototypes, columns
+        self._lists = remembered[:, module.LISTED]
         store = cube.ranges(2), cube.clips, selection.prototypes, columns, places, plan, remembered
         self._nearest = partial(module.nearest, *store)
 
@@ -136,6 +144,11 @@ class CompiledSelector:
             if self._nearest(state, chosen, weights) >= 0:
                 raise self._cube.refusal(state)
         return indices, values if self._proximity else None
+
+    def moved(self, places: IndexArray) -> None:
+        """Follow what was written to some of the prototypes: no list answers any more."""
+        self._columns[:-1, places] = self._prototypes[places].T
+        self._lists[:] = 0.0
 
 
 def with_room(prototypes: FloatArray, room: int) -> tuple[np.ndarray, IndexArray]:

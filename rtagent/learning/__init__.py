@@ -3,7 +3,7 @@
 from rtagent.learning.control import ExpectedSarsa, QLearning, Sarsa
 from rtagent.learning.demons import Continuation, Demon, Demons, Method
 from rtagent.learning.horde import Horde
-from rtagent.learning.learner import ControlLearner, Learner, PredictionLearner, SlicedLearner, Verified
+from rtagent.learning.learner import ControlLearner, Inheriting, Learner, PredictionLearner, SlicedLearner, Verified
 from rtagent.learning.off_policy import GTD
 from rtagent.learning.prediction import TD
 from rtagent.learning.swift import SwiftTD
@@ -19,6 +19,7 @@ __all__ = [
     "Demons",
     "ExpectedSarsa",
     "Horde",
+    "Inheriting",
     "Learner",
     "Method",
     "PredictionLearner",

@@ -67,6 +67,10 @@ class Sarsa:
         yield from self._q.folding()
         return delta
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._q.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return self._q.save()
@@ -135,6 +139,10 @@ class QLearning:
         yield from self._q.folding()
         return delta
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._q.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return self._q.save()
@@ -197,6 +205,10 @@ class ExpectedSarsa:
         delta = self.update(transition)
         yield from self._q.folding()
         return delta
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._q.inherit(place, like)
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""

@@ -130,6 +130,11 @@ class Horde:
         """Return the errors of the measured demons, by their names."""
         return {name: errors for group in self.groups for name, errors in group.errors()}
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        for group in self.groups:
+            group.learned.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state of every group; not to be called in the middle of an update."""
         groups = {str(number): group.save() for number, group in enumerate(self.groups)}

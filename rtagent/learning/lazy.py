@@ -119,6 +119,13 @@ class LazyTraces:
             yield
             self._kernels.fold(self._cells, self._kernels.BLOCK)
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._fold()
+        u, trace = self._column(self._kernels.U), self._column(self._kernels.TRACE)
+        u[:, place] = u[:, like] + self._cells[-1, self._kernels.SHIFT] * trace[:, like]
+        trace[:, place] = 0.0
+
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size), before scale and shift are written into them."""
         self._fold()

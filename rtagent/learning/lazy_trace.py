@@ -243,6 +243,19 @@ class LazyTrace:
         each = max(LEAST_SLICE, self.slice_bytes // (touches * self.estimate.itemsize + VECTOR_BYTES))
         return [(first, min(first + each, demons)) for first in range(0, demons, each)]
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        if place in self._here.indices:  # what is implicit is of all that is active
+            for _ in self._settle(self._here, self._scale):
+                pass
+        row = self._table[like] + (self._trace[like] * self.beta).astype(self._table.dtype)
+        here = self._here.indices == like
+        row += (self._numbers(self._here)[here].sum() * self.offset).astype(row.dtype)
+        self._table[place], self._trace[place] = row, 0.0
+        if place in self._here.indices:
+            for _ in self._settle(self._here, self._scale):
+                pass
+
     def save(self) -> Saved:
         """Return the state, exactly; not to be called in the middle of a step."""
         return save_fields(self, SAVED) | save_features(self._here)

@@ -41,6 +41,17 @@ class SlicedLearner(Learner, Protocol):
         """
 
 
+@runtime_checkable
+class Inheriting(Learner, Protocol):
+    """A learner for coders whose features become others."""
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace.
+
+        Never called in the middle of an update.
+        """
+
+
 class ControlLearner(Learner, Protocol):
     """A learner of action values."""
 

@@ -95,6 +95,12 @@ class GTD:
             )
         return self._target_probability(transition, action) / probability
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        for weights in (self.theta, self.h):
+            weights[place] = weights[like]
+        self.trace[place] = 0.0
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return save_fields(self, STATE)

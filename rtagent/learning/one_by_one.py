@@ -44,6 +44,11 @@ class OneByOne:
             self.estimate[place] = learner.predict(step.next_features)
             yield
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        for learner in self._learners:
+            learner.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state of each learner."""
         return {str(place): learner.save() for place, learner in enumerate(self._learners)} | {

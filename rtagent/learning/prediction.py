@@ -62,6 +62,10 @@ class TD:
         yield from self._theta.folding()
         return delta
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._theta.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return self._theta.save()

@@ -66,6 +66,9 @@ class TraceGroup(Protocol):
     def updating(self, step: Step) -> Generator[None, None, None]:
         """Learn a step, with a yield between slices: each demon has then learned it, or not yet."""
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weights of feature `like`, and no trace."""
+
     def save(self) -> Saved:
         """Return the state."""
 
@@ -126,6 +129,11 @@ class SharedTrace:
         weights[step.features.indices] += np.outer(numbers_of(step.features), self.alpha * (estimate - value))
         self.delta[some] = delta
         estimate[:] = following
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self.weights[place] = self.weights[like]
+        self.trace[place] = 0.0
 
     def save(self) -> Saved:
         """Return weights, trace and estimates."""

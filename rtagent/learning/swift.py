@@ -153,6 +153,13 @@ class SwiftTD:
         self._estimate = estimate
         return predictions
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        swift = self._swift
+        for name in KEPT:
+            kept: FloatArray = getattr(swift, name)
+            kept[place] = kept[like] if name in ("w", "beta") else 0.0
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return save_fields(self._swift, KEPT) | {"estimate": self._estimate}

@@ -90,6 +90,9 @@ class Traces(Protocol):
         How much of it was done changes no bit of what is predicted or learned.
         """
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weights of feature `like`, and no trace."""
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
 
@@ -195,6 +198,11 @@ class DenseTraces:
     def folding(self) -> Generator[None, None, None]:
         """Do nothing: an update leaves nothing to do."""
         yield from ()
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._weights[:, place] = self._weights[:, like]
+        self._trace[:, place] = 0.0
 
     def save(self) -> Saved:
         """Return weights and trace, shape (rows, size)."""

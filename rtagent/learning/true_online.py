@@ -88,6 +88,10 @@ class TrueOnlineTD:
         self._estimate = estimate
         return predictions
 
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._theta.inherit(place, like)
+
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""
         return {"theta": self._theta.save(), "estimate": self._estimate}
@@ -148,6 +152,10 @@ class TrueOnlineSarsa:
         delta = self.update(transition)
         yield from self._q.folding()
         return delta
+
+    def inherit(self, place: int, like: int) -> None:
+        """Give feature `place`, which has become another, the weight of feature `like`, and no trace."""
+        self._q.inherit(place, like)
 
     def save(self) -> Saved:
         """Return the state; see `rtagent.saving`."""

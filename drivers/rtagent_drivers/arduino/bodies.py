@@ -13,7 +13,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
+from rtagent.experience import FloatArray
 from rtagent.saving import Saved
 from rtagent.streams import shared
 from rtagent.units import ms, second
@@ -21,7 +23,7 @@ from rtagent_drivers.arduino.layouts import HANDI_PINS
 from rtagent_drivers.arduino.messages import LARGEST_READING
 from rtagent_drivers.grasping.assumed import JOINTS
 from rtagent_drivers.grasping.hands import Gestures, Grasp
-from rtagent_drivers.grasping.noise import bits
+from rtagent_drivers.grasping.noise import bits, salt, salts
 from rtagent_drivers.grasping.session import EXPERIMENT, Session, Times
 
 NOISE = 2
@@ -145,9 +147,9 @@ class Hand:
             pressed = self._button.at(time)[0] % 2
             return int(not pressed) if pin.isdigit() else pressed
         if field[:1] == "D" and field != "D1I":
-            return int(_reading(_flexed(self._place(int(field[1]), time)), field, time))
+            return _reading(_flexed(self._place(int(field[1]), time)), field, time)
         if field.startswith("FSR"):
-            return int(_reading(LARGEST_READING * self._force(int(field[3:]), time), field, time))
+            return _reading(LARGEST_READING * self._force(int(field[3:]), time), field, time)
         return 0
 
     def save(self) -> Saved:
@@ -216,15 +218,17 @@ class Modelled:
 class GraspingHand:
     """The hand that closes around each object; its button is pressed when a trial begins."""
 
+    FIELDS = (*JOINTS, *(f"FSR{number}" for number in range(1, 6)))
+
     def __init__(self, session: Session) -> None:
-        self._session, self._grasp = session, Grasp(session)
+        self._session, self._grasp, self._salts = session, Grasp(session), salts(self.FIELDS)
 
     def scan(self, times: Times) -> Mapping[str, Times]:
         """Return what its sensors read, as fields of the older sketch and as pins of its Mega."""
-        joints = zip(JOINTS, self._grasp.joints(times), strict=True)
-        found = {field: _reading(_flexed(place), field, times) for field, place in joints}
-        forces = LARGEST_READING * np.outer([1.0, 0.0, 0.0, 0.0, 0.0], self._grasp.thumb_force(times))
-        found |= {f"FSR{n}": _reading(force, f"FSR{n}", times) for n, force in enumerate(forces, start=1)}
+        exact = np.zeros((len(self.FIELDS), len(times)))
+        exact[: len(JOINTS)] = _flexed(self._grasp.joints(times))
+        exact[len(JOINTS)] = LARGEST_READING * self._grasp.thumb_force(times)
+        found = dict(zip(self.FIELDS, _readings(exact, times, self._salts), strict=True))
         pressed = self._session.pressed(times).astype(np.int64)
         pins = {HANDI_PINS[field]: readings for field, readings in found.items()}
         return found | pins | {"M": pressed, HANDI_PINS["M"]: 1 - pressed}
@@ -234,12 +238,12 @@ class Glove:
     """A glove of six bend sensors, worn by who makes a gesture for each object that the hand holds."""
 
     def __init__(self, session: Session) -> None:
-        self._gestures = Gestures(session)
+        self._gestures, self._salts = Gestures(session), salts(BENDS)
 
     def scan(self, times: Times) -> Mapping[str, Times]:
         """Return what its sensors read."""
-        bends = zip(BENDS, self._gestures.bends(times), strict=True)
-        return {pin: _reading(_flexed(bend), pin, times) for pin, bend in bends}
+        exact = _flexed(self._gestures.bends(times))
+        return dict(zip(BENDS, _readings(exact, times, self._salts), strict=True))
 
 
 BODIES: Mapping[str, Callable[[], Body]] = {
@@ -267,7 +271,14 @@ def _flexed(place: Any) -> Any:
     return LEAST + (MOST - LEAST) * place
 
 
-def _reading(exact: Any, pin: str, time: Any) -> Any:
-    """Return what a converter reads, noise included, at a time or at each of an array of them."""
-    noise = np.int64(bits(time, pin) % (2 * NOISE + 1)) - NOISE
-    return np.clip(np.rint(exact).astype(np.int64) + noise, 0, LARGEST_READING)
+def _reading(exact: float, field: str, time: int) -> int:
+    """Return what a converter reads, noise included."""
+    noise = int(bits(time, salt(field))) % (2 * NOISE + 1) - NOISE
+    return min(max(round(exact) + noise, 0), LARGEST_READING)
+
+
+def _readings(exact: FloatArray, times: Times, salted: NDArray[np.uint64]) -> Times:
+    """Return what converters read at each of these times, shape (channels, n)."""
+    noise = np.int64(bits(times, salted) % (2 * NOISE + 1)) - NOISE
+    found: Times = np.minimum(np.maximum(np.rint(exact).astype(np.int64) + noise, 0), LARGEST_READING)
+    return found

@@ -118,6 +118,6 @@ def _times(rng: Generator, mean: int, spread: int, count: int) -> Times:
 
 def share(since: Times, begins: Times | int, takes: FloatArray | float) -> FloatArray:
     """Return which part of a movement is done: that of a limb with minimum jerk (Flash and Hogan 1985)."""
-    done = np.clip((since - begins) / takes, 0.0, 1.0)
+    done = np.minimum(np.maximum((since - begins) / takes, 0.0), 1.0)
     moved: FloatArray = done**3 * (10.0 - 15.0 * done + 6.0 * done**2)
     return moved

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from rtagent.experience import FloatArray
 from rtagent_drivers.grasping import assumed
-from rtagent_drivers.grasping.noise import bits, uniform
+from rtagent_drivers.grasping.noise import bits, salt, uniform
 from rtagent_drivers.grasping.session import CLOSES, RELEASES, Session, Times, share
 
 Pixels = NDArray[np.int64]
+LIGHT = salt("light")
 
 
 class Part(NamedTuple):
@@ -41,7 +42,7 @@ class View:
     def parts(self, times: Times) -> Iterator[Part]:
         """Yield the upper and the lower half of the object, and the thumb; they do not overlap."""
         trial, since = self._session.at(times)
-        light = (self._light[trial] + assumed.FLICKER * (2.0 * uniform(bits(times, "light")) - 1.0))[:, None]
+        light = (self._light[trial] + assumed.FLICKER * (2.0 * uniform(bits(times, LIGHT)) - 1.0))[:, None]
         colour = _bytes(self._colours[trial] * light)
         takes = assumed.TURNING
         inside = share(since, self._session.enters[trial], takes) - share(since, self._session.leaves[trial], takes)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import inf
+from collections.abc import Callable, Mapping
+from functools import partial
 
 from rtagent.experiments.experiment import Claim, Verdict
 from rtagent.experiments.grasping import FINGERS, SETTINGS
 from rtagent.experiments.multimodal.errors import ALL, OTHERS, Errors, diverged, effect, ratio
-from rtagent.experiments.statistics import Interval, within
+from rtagent.experiments.statistics import Interval, above, all_of, below, within
 
 SMALL = 0.2
 """Cohen's least effect that is called small (Cohen, 1988)."""
@@ -45,7 +45,7 @@ def _better(errors: Errors, reading: str, least: float) -> Claim:
             for other in OTHERS
         },
         "d = {}",
-        (least, inf),
+        partial(at_least, least=least),
     )
 
 
@@ -55,7 +55,7 @@ def _ring_effects(errors: Errors, reading: str) -> Claim:
         f"For ring “All” is better by such an effect than “{COLOR}”, not than “{POSITION}” (α = 0.01 as {reading})",
         f"a small to medium effect, with the exception of ring on “{POSITION}” (figure 5.9)",
         f"d = {color} against “{COLOR}”, {position} against “{POSITION}”",
-        joined([within(color, SMALL), within(position, -inf, SMALL)]),
+        all_of([at_least(color, SMALL), below(position, SMALL)]),
     )
 
 
@@ -65,7 +65,7 @@ def _ring_median(errors: Errors, reading: str) -> Claim:
         "almost identical (figure 5.8)",
         {f"“All” against “{POSITION}”": ratio(errors, "median", (ALL, "ring"), (POSITION, "ring"))},
         "{} times",
-        NEARLY,
+        partial(within, low=NEARLY[0], high=NEARLY[1]),
     )
 
 
@@ -76,7 +76,7 @@ def _narrower(errors: Errors, finger: str, reading: str) -> Claim:
         f"smaller than with “{COLOR}”, {slightly} than with “{POSITION}” (figure 5.8)",
         {f"against “{other}”": ratio(errors, "variance", (ALL, finger), (other, finger)) for other in OTHERS},
         "{} times",
-        (0.0, 1.0),
+        partial(below, bound=1.0),
     )
 
 
@@ -90,7 +90,7 @@ def _middle_narrowest(errors: Errors, reading: str) -> Claim:
             for finger in ("ring", "pinky")
         },
         "{} times",
-        (0.0, 1.0),
+        partial(below, bound=1.0),
     )
 
 
@@ -100,7 +100,7 @@ def _before(errors: Errors, reading: str) -> Claim:
         "a large offset before the onset, which “All” does not have (figure 5.7)",
         {finger: ratio(errors, "before", (POSITION, finger), (ALL, finger)) for finger in ("ring", "pinky")},
         "{} times the error of “All”",
-        (1.0, inf),
+        partial(above, bound=1.0),
         "before the grasp only colour is seen, which tells nothing of ring: it is put down for 31 of 64 green and "
         "33 of 67 orange objects; shapes that cover different parts of the picture could tell",
     )
@@ -112,7 +112,7 @@ def _during(errors: Errors, reading: str) -> Claim:
         "not able to accurately predict any of the potentiometer values (figure 5.7)",
         {finger: ratio(errors, "during", (COLOR, finger), (ALL, finger)) for finger in FINGERS},
         "{} times the error of “All”",
-        (1.0, inf),
+        partial(above, bound=1.0),
     )
 
 
@@ -121,20 +121,20 @@ def _claim(
     theirs: str,
     found: Mapping[str, Interval],
     told: str,
-    limits: tuple[float, float],
+    side: Callable[[Interval], Verdict],
     why: str = "",
 ) -> Claim:
-    """Return a claim that all that was found lies between two limits; `why` is told where not all surely does."""
-    verdicts = {name: within(each, *limits) for name, each in found.items()}
+    """Return a claim that is one about each of what was found; `why` is told where not all are reproduced."""
+    verdicts = {name: side(each) for name, each in found.items()}
     ours = "; ".join(f"{name}: {told.format(each)}" for name, each in found.items())
     other = [f"{name} ({verdict})" for name, verdict in verdicts.items() if verdict != Verdict.REPRODUCED]
     parts = [f"in part: {', '.join(other)}" if 0 < len(other) < len(found) else "", why if other else ""]
-    return Claim(said, theirs, ours, joined(list(verdicts.values())), "; ".join(filter(None, parts)))
+    return Claim(said, theirs, ours, all_of(verdicts.values()), "; ".join(filter(None, parts)))
 
 
-def joined(verdicts: list[Verdict]) -> Verdict:
-    """Return the verdict on a claim of several parts; it differs where some are reproduced and others are not."""
-    given = set(verdicts)
-    if len(given) == 1:
-        return given.pop()
-    return Verdict.DIFFERS if Verdict.NOT_REPRODUCED in given else Verdict.UNDECIDED
+def at_least(found: Interval, least: float) -> Verdict:
+    """Say whether an effect is surely so large; it differs where there surely is one, and surely a smaller one."""
+    if found.low > 0.0 and found.high < least:
+        return Verdict.DIFFERS
+    verdict = above(found, least)
+    return Verdict.UNDECIDED if verdict == Verdict.NOT_REPRODUCED and found.high > 0.0 else verdict

@@ -9,11 +9,12 @@ from rtagent.experiments.grasping import FINGERS, SETTINGS
 from rtagent.experiments.multimodal import figures
 from rtagent.experiments.multimodal.claims import claims_of
 from rtagent.experiments.multimodal.errors import KEPT, Errors, diverged, number
+from rtagent.experiments.multimodal.measuring import READINGS
 
 
 def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     """Return what the thesis claims beside what was found, with each reading of α."""
-    by_reading = {reading: _errors(pairs, reading) for reading in pairs[0][1]["readings"]}
+    by_reading = {reading: _errors(pairs, reading) for reading in READINGS if reading in pairs[0][1]["readings"]}
     what, (_, shown) = _what(pairs), next(each for each in pairs if each[0]["setting"] == "All")
     drawn = [figures.stream(shown["sample"], what)]
     for place, (reading, errors) in enumerate(by_reading.items()):

@@ -68,10 +68,9 @@ class Test:
         return {name: float(found[rows].mean()) for name, rows in within.items()}
 
     def _green_cylinder(self, last: int) -> tuple[int, int]:
-        """Return the first whole trial in which the middle finger was put down, which ends before row `last`."""
-        began = self._began[(self._began >= self._trained) & (self._began <= last)].tolist()
-        middle = self._stream.unit(FINGERS["middle"])
-        trials = list(pairwise(began))
+        """Return the rows of the first trial, up to row `last`, in which the middle finger was put down."""
+        began = self._began[(self._began >= self._trained) & (self._began < last)].tolist()
+        middle, trials = self._stream.unit(FINGERS["middle"]), list(pairwise([*began, last]))
         return next((trial for trial in trials if middle[slice(*trial)].max() > 0.5), trials[0])
 
     def _drawn(self, rows: tuple[int, int], lines: Mapping[str, FloatArray]) -> dict[str, list[float]]:
