@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_emulate(commands)
     _add_devices(commands)
     _add_calibrate(commands)
+    _add_bench(commands)
     doctor = commands.add_parser("doctor", help="what this machine allows, and how late it wakes us")
     doctor.add_argument("--json", action="store_true", help="print JSON instead")
     doctor.set_defaults(command=_doctor)
@@ -69,6 +70,10 @@ def _add_run(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     run.add_argument("--checkpoint", metavar="FILE", help="keep all that the run knows there, to go on from")
     run.add_argument("--resume", action="store_true", help="go on from the checkpoint")
     run.add_argument("--record", metavar="FILE", help="record everything there, as MCAP")
+    run.add_argument(
+        "--human", nargs="?", const="", metavar="NAME",
+        help="press the button yourself (scenarios/egg.toml); your figure is written to NAME.png and NAME.svg",
+    )  # fmt: skip
     _add_data(run)
     _add_fake(run)
     run.add_argument("--quiet", action="store_true", help="print nothing but errors (and JSON, if asked for)")
@@ -224,6 +229,27 @@ def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     calibrate.set_defaults(command=_calibrate)
 
 
+def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    bench = commands.add_parser("bench", help="measure what scenarios take, and tell what got slower")
+    bench.add_argument("scenarios", nargs="*", metavar="scenario", help="by default those of the baseline")
+    bench.add_argument("--save", metavar="FILE", help="keep the figures there, as a baseline")
+    bench.add_argument("--compare", metavar="FILE", help="compare with that baseline")
+    bench.add_argument("--against", metavar="REVISION", help="compare with another git revision, in turns")
+    bench.add_argument("--floor", action="store_true", help="measure the machine alone: bare wake-ups")
+    bench.add_argument("--markdown", metavar="FILE", help="write a summary for a pull request there")
+    bench.add_argument("--plot", metavar="FILE", help="draw the comparison there (needs matplotlib)")
+    bench.add_argument("--episodes", type=int, metavar="N", help="episodes of each run")
+    bench.add_argument("--rounds", type=int, metavar="N", help="rounds (10; with --against 12)")
+    bench.add_argument("--processor", type=int, metavar="N", help="where to measure (the last)")
+    bench.add_argument(
+        "--stolen", type=float, default=0.1, metavar="X", help="share that others may have of the processor (0.1)"
+    )
+    bench.add_argument("--limit", type=float, metavar="X", help="times as long is allowed (2; with --against 1.1)")
+    bench.add_argument("--strict", action="store_true", help="exit with 1 also where something is undecided")
+    _add_set(bench)
+    bench.set_defaults(command=_bench)
+
+
 def _add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", help="the recording to play: CSV, gzipped CSV or npz")
 
@@ -366,6 +392,12 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     from rtagent.commands.calibrate import calibrate_command
 
     return calibrate_command(arguments)
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from rtagent.commands.bench import bench_command
+
+    return bench_command(arguments)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

@@ -98,6 +98,17 @@ class Agent:
         return self._features
 
     @property
+    def fresh(self) -> bool:
+        """Whether there is an observation newer than the last choice."""
+        return self._fresh
+
+    @property
+    def sees_change(self) -> bool:
+        """Whether the newest observation has other features than the one that was chosen from last."""
+        chosen, newest = self.chosen, self._features
+        return newest is not None and (chosen is None or not _equal(chosen.features, newest))
+
+    @property
     def awaits_next_action(self) -> bool:
         """Whether the newest transition is complete only with the next choice."""
         return self._incomplete is not None
@@ -282,6 +293,15 @@ class Agent:
         self.chosen = self._in_force if saved["chosen"] == "in force" else _restored_decision(saved["chosen"])
         incomplete = saved["incomplete"]
         self._incomplete = None if incomplete is None else restored_transition(incomplete)
+
+
+def _equal(one: FeatureVector, other: FeatureVector) -> bool:
+    """Say whether two feature vectors are the same, quickly where they are small."""
+    if one.indices.tobytes() != other.indices.tobytes():
+        return False
+    if one.values is None or other.values is None:
+        return one.values is other.values
+    return one.values.tobytes() == other.values.tobytes()
 
 
 def _save_decision(decision: Decision | None) -> Saved | None:

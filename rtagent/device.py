@@ -87,8 +87,8 @@ class Foreseeing(Protocol):
 class Pressable(Protocol):
     """A device that those who watch a run may press, where its telemetry lets them."""
 
-    def press(self) -> None:
-        """Be pressed for a moment, now; called on the event loop."""
+    def press(self, at: int | None = None) -> None:
+        """Be pressed for a moment, now or at a time (ns) that has just passed; called on the event loop."""
 
 
 @runtime_checkable

@@ -49,6 +49,10 @@ class CheckpointError(RtagentError, ValueError):
     """A file that is no checkpoint that can be gone on with; nothing of it was taken."""
 
 
+class BaselineError(RtagentError, ValueError):
+    """A file or a revision that nothing can be compared with."""
+
+
 class ReplayError(RtagentError, ValueError):
     """A recording that cannot be replayed."""
 

@@ -154,7 +154,7 @@ class _Life:
         self._not_safe: list[str] = []
         specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
         task.bind(specs)
-        check_urgency(schedule.learn, task, self._first_agent.learner, specs)
+        check_urgency(schedule, task, self._first_agent.learner, specs)
         if self._clock.virtual:
             refuse_stuck(devices, schedule, costs, plan)
         self._keeping = Keeping(keeper, plan, self._clock, self._recorder, self._devices, self._agents)
@@ -229,6 +229,7 @@ class _Life:
             hooks=self._hooks,
             costs=self._costs,
             costs_rng=stream(self._plan.seed, "costs", trial),
+            ordering_rng=stream(self._plan.seed, "ordering", trial),
             limits=self._plan.limits,
             learning_failed=self._learning_failed,
             habits=self._keeping.habits(self._habits),

@@ -5,6 +5,7 @@ This is the only module that awaits components.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -20,18 +21,20 @@ from rtagent.guard import NEVER
 from rtagent.idling import Idling
 from rtagent.instruments import Hooks
 from rtagent.learn import Where
+from rtagent.orderer import Orderer
+from rtagent.ordering import Ordering
 from rtagent.pacing import Pacer
 from rtagent.reaction import ReactionTimer
 from rtagent.recorder import EpisodeRecord, Recorder
 from rtagent.saving import Saveable, Saved, save_fields
-from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, Component, Order, Schedule, prologue
+from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, ORDER, WAIT, Component, Order, Schedule, prologue
 from rtagent.senses import Senses
 from rtagent.streams import restored_stream, save_stream
 from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
-from rtagent.urgency import Urgency
+from rtagent.urgency import Outlook, Urgency
 
-EPISODE = ("_changed", "_latest", "_last_step")
+EPISODE = ("_changed", "_latest", "_last_step", "urgency")
 """What is saved of an episode as it is."""
 
 
@@ -93,6 +96,7 @@ class Runtime:
         hooks: Hooks,
         costs: Costs,
         costs_rng: RandomGenerator,
+        ordering_rng: RandomGenerator,
         limits: Limits,
         learning_failed: Callable[[BaseException], None],
         habits: Habits,
@@ -127,11 +131,21 @@ class Runtime:
             Urgency(schedule.learn, task, agent, self._senses),
             virtual=clock.virtual,
             on_thread=habits.place_learner,
+            once=schedule.ordering is not None,
         )
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
         self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
         if self._idling:
             self._idling.learning = self.work.next_event
+        self.orderer: Orderer | None = None
+        if schedule.ordering is not None:
+            self._begin_ordering(schedule.ordering, ordering_rng)
+
+    def _begin_ordering(self, ordering: Ordering, rng: RandomGenerator) -> None:
+        self.orderer = Orderer(ordering, rng)
+        self._outlook = Outlook(ordering.urgency, self._task, self._agent, self._senses)
+        self._never = asyncio.get_running_loop().create_future()
+        self._components |= {LEARN: self._learn, ORDER: self._order, WAIT: self._wait}
 
     # What a chooser can ask (schedule.Situation)
 
@@ -155,6 +169,42 @@ class Runtime:
         """Whether an action was chosen that was not yet handed to the devices."""
         return self._agent.action_pending
 
+    # What one that learns asks too (orderer.Surroundings)
+
+    @property
+    def reward(self) -> float:
+        """The task's reward of the episode so far."""
+        return self._episode.total_reward
+
+    @property
+    def has_observed(self) -> bool:
+        """Whether the episode has had an observation."""
+        return self._agent.newest_features is not None
+
+    @property
+    def fresh(self) -> bool:
+        """Whether there is an observation newer than the last choice."""
+        return self._agent.fresh
+
+    @property
+    def change(self) -> bool:
+        """Whether that observation differs, in its features, from the one that was chosen from last."""
+        return self._agent.sees_change
+
+    @property
+    def news(self) -> bool:
+        """Whether a sample waits that is newer than the newest observation."""
+        self._senses.watch()
+        return self._senses.news()
+
+    @property
+    def observable(self) -> bool:
+        """Whether an observation would tell anything newer without waiting for it."""
+        senses, acted = self._senses, self._agent.step_is_open
+        if (senses.synchronous and acted) or (senses.as_of_now and (acted or self._now() > self._newest())):
+            return True
+        return self.news
+
     # The main path
 
     async def run_episode(self, trial: int, episode: int, rngs: Mapping[str, RandomGenerator]) -> EpisodeRecord:
@@ -167,7 +217,7 @@ class Runtime:
 
     async def go_on(self) -> EpisodeRecord:
         """Run the rest of an episode, from between two of its cycles."""
-        chooser = self._schedule.make_chooser()
+        chooser = self.orderer or self._schedule.make_chooser()
         paced, calm = bool(self._schedule.period) or self._idling is not None, self._calm
         while not self._over:
             if paced:
@@ -183,6 +233,8 @@ class Runtime:
                     break
             if not self._schedule.acts:
                 self._tell()
+            if self.orderer is not None:
+                await self.work.relieve()  # how much may wait is not for it to decide
             if calm is not None:
                 calm()
         await self._end()
@@ -204,11 +256,17 @@ class Runtime:
         self._last_step = (self._limits.episode_steps or NEVER) - 1
         if self._idling:
             self._idling.begin(now)
+        self.urgency: tuple[float, ...] = ()
+        if self.orderer is not None:
+            self.urgency = (0.0,) * len(self.orderer.ordering.urgency)
+            self.orderer.begin(now)
         self._pacer: Pacer | None = None
         self._hooks.call("episode_began", trial, episode, now)
 
     async def _end(self) -> None:
         """Learn what is left; a truncated episode still wants SARSA's A', which is chosen and not acted on."""
+        if self.orderer is not None:
+            self.orderer.end(self, terminated=not self._episode.truncated)
         if self._agent.awaits_next_action:
             await self._choose()
         await self.work.learn()
@@ -230,7 +288,9 @@ class Runtime:
         else:
             await yield_once()
         if self._idling is not None:
-            await self._idling.cycle_ended(settled=not self._changed and self._agent.repeats_action)
+            would_learn = self.orderer is not None and self.work.length > 0
+            settled = not self._changed and self._agent.repeats_action and not would_learn
+            await self._idling.cycle_ended(settled)
             self._changed = False
 
     # The components
@@ -245,6 +305,8 @@ class Runtime:
         self._episode.ended = now
         if self._agent.observe(outcome, now) is not None:
             self._episode.steps += 1
+        if self.orderer is not None:
+            self.urgency = self._outlook()
         if stimuli:
             self._reactions.observed(stimuli, now)
         if self._costs:
@@ -301,6 +363,18 @@ class Runtime:
         await self.work.learn()
         self._mark = self._now()
 
+    async def _order(self) -> None:
+        """Charge the decision which component comes next; it has been made."""
+        if self._costs:
+            await self._charge(ORDER)
+        self._done(ORDER)
+
+    async def _wait(self) -> None:
+        """Wait for something new to observe, for as long as the ordering may."""
+        assert self._schedule.ordering is not None, "no list waits"
+        await self._senses.wait_for_news(self._never, self._schedule.ordering.wait)
+        self._done(WAIT)
+
     async def drain(self, deadline: int | None) -> None:
         """Learn what is left after the last episode, until `deadline` (ns; None: all of it)."""
         self._mark = self._now()
@@ -317,14 +391,17 @@ class Runtime:
         )
 
     def save(self) -> Saved:
-        """Return what is being learned, and the random state of costs."""
-        return {"work": self.work.save(), "costs": save_stream(self._costs_rng)}
+        """Return what is being learned, what was learned of ordering, and the random state of costs."""
+        ordering = None if self.orderer is None else self.orderer.save()
+        return {"work": self.work.save(), "costs": save_stream(self._costs_rng), "ordering": ordering}
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned; the newest episode of the recorder is the last one, or goes on."""
         self._episode = self._recorder.episodes[-1]
         self._costs_rng = restored_stream(saved["costs"])
         self.work.restore(saved["work"])
+        if self.orderer is not None and saved.get("ordering") is not None:
+            self.orderer.restore(saved["ordering"])
         if saved["work"]["failed"]:
             self._agent.keeps_transitions = False
 
@@ -346,7 +423,8 @@ class Runtime:
     def restore_episode(self, saved: Saved) -> None:
         """Take what `save_episode` returned."""
         self._over = False
-        self._changed, self._latest, self._last_step = (saved[name] for name in EPISODE)
+        self._changed, self._latest, self._last_step, urgency = (saved[name] for name in EPISODE)
+        self.urgency = tuple(urgency)
         self._task.restore(saved["task"])  # type: ignore[attr-defined]  # what could be saved can be restored
         self._reactions.restore(saved["reactions"], self._episode.reactions)
         if self._idling is not None:

@@ -12,19 +12,24 @@ from typing import NamedTuple, Protocol
 
 from rtagent.errors import ScheduleError
 from rtagent.learn import Learn, When, Where
-from rtagent.units import us
+from rtagent.ordering import Ordering
+from rtagent.units import ms, us
 
 
 class Component(StrEnum):
-    """One of the four components of an agent."""
+    """One of the four components of an agent; or, where it orders them itself, that decision, and waiting."""
 
     ACT = "act"
     OBSERVE = "observe"
     CHOOSE = "choose"
     LEARN = "learn"
+    ORDER = "order"
+    WAIT = "wait"
 
 
-ACT, OBSERVE, CHOOSE, LEARN = Component
+ACT, OBSERVE, CHOOSE, LEARN, ORDER, WAIT = Component
+LISTED = (ACT, OBSERVE, CHOOSE, LEARN)
+"""What a list can hold."""
 Order = tuple[Component, ...]
 
 STANDARD: Order = (ACT, OBSERVE, CHOOSE, LEARN)
@@ -35,11 +40,12 @@ INLINE = Learn()
 
 
 class Preset(NamedTuple):
-    """An order, a learning rule, and a line on them."""
+    """An order, or how one is learned, a learning rule, and a line on them."""
 
     order: Order
     learn: Learn
     line: str
+    ordering: Ordering | None = None
 
 
 PRESETS: dict[str, Preset] = {
@@ -48,7 +54,10 @@ PRESETS: dict[str, Preset] = {
     "deferred": Preset(REACTIVE, Learn(when=When.CALM), "learns later what it saw while it was urgent"),
     "interruptible": Preset(REACTIVE, Learn(slice=40 * us), "learns in slices, and leaves off for news"),
     "background": Preset(REACTIVE, Learn(where=Where.THREAD), "learns on a thread of its own"),
+    "learned": Preset(REACTIVE, Learn(slice=2 * ms), "learns which of them comes next", Ordering()),
 }
+FIXED = tuple(name for name, preset in PRESETS.items() if preset.ordering is None)
+"""The presets that do the same in every cycle."""
 
 
 class Situation(Protocol):
@@ -110,6 +119,7 @@ class Schedule:
     `learn_delay` is the thesis's simulated cost of learning, charged for each transition learned. `period`
     paces the cycle on absolute deadlines (0: as fast as it goes); after an overrun the missed deadlines are
     skipped or caught up. `observe` waits at most `observe_timeout` for something fresh, then takes the latest.
+    With an `ordering` the agent learns which component comes next.
     """
 
     order: Order
@@ -120,6 +130,7 @@ class Schedule:
     overrun: Overrun = Overrun.SKIP
     observe: Wait = Wait.FRESH
     observe_timeout: int = 100_000_000
+    ordering: Ordering | None = None
     chooser: Callable[[], Chooser] | None = field(default=None, compare=False)
 
     @classmethod
@@ -128,7 +139,8 @@ class Schedule:
         if name not in PRESETS:
             raise ScheduleError(f"there is no preset {name!r}: use one of {', '.join(PRESETS)}.")
         preset = PRESETS[name]
-        return replace(cls(preset.order, name, preset.learn), **settings)  # type: ignore[arg-type]  # keys are checked by replace
+        made = cls(preset.order, name, preset.learn, ordering=preset.ordering)
+        return replace(made, **settings)  # type: ignore[arg-type]  # keys are checked by replace
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", parse_order(self.order))
@@ -137,6 +149,17 @@ class Schedule:
         for name in ("learn_delay", "period", "observe_timeout"):
             if getattr(self, name) < 0:
                 raise ScheduleError(f"schedule.{name} is negative: give a time of 0 or more.")
+        if self.ordering is not None:
+            self._check_ordering()
+
+    def _check_ordering(self) -> None:
+        if self.learn.where is not Where.LOOP or self.learn.when is not When.ALWAYS:
+            raise ScheduleError(
+                "an agent that learns its ordering decides itself when it learns, on the event loop: "
+                'leave learn.when and learn.where out, or give them as "always" and "loop".'
+            )
+        if self.order != REACTIVE or self.chooser is not None:
+            raise ScheduleError("an ordering that is learned takes no order and no chooser: leave them out.")
 
     @property
     def acts(self) -> bool:
@@ -161,10 +184,10 @@ def _one_of(kind: type[StrEnum], value: str, name: str) -> StrEnum:
 
 def parse_order(order: Iterable[str]) -> Order:
     """Return components for their names; raise `ScheduleError` for a name that is none."""
-    try:
-        return tuple(Component(name) for name in order)
-    except ValueError as error:
-        raise ScheduleError(f"{error}: an order holds act, observe, choose and learn.") from None
+    for name in (parsed := tuple(order)):
+        if name not in LISTED:
+            raise ScheduleError(f"{str(name)!r} has no place in an order: it holds act, observe, choose and learn.")
+    return tuple(Component(name) for name in parsed)
 
 
 class Fact(StrEnum):

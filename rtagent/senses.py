@@ -32,6 +32,8 @@ class Senses:
         """Whether a cycle always waits for its time, or for a sample that comes by itself."""
         self.synchronous = any(device.device.spec.synchronous for device in devices)
         """Whether something is new only after an act."""
+        self.as_of_now = any(device.as_of_now and not device.device.spec.synchronous for device in devices)
+        """Whether an observation tells more once time has passed, without a sample that comes by itself."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 
     async def observe(self) -> tuple[Observation, Sequence[Stimulus]]:
@@ -101,14 +103,21 @@ class Senses:
                 return True
         return False
 
-    async def wait_for_news(self, other: asyncio.Future[None]) -> None:
-        """Wait until there is something new to observe, or `other` is done; at most as long as observing may."""
+    async def wait_for_news(self, other: asyncio.Future[None], at_most: int | None = None) -> None:
+        """Wait until there is something new to observe, or `other` is done.
+
+        It lasts for `at_most` (ns), without that for as long as observing may.
+        """
         watches: set[asyncio.Future[Any]] = {other}
         watches |= {watch for device in self._devices if (watch := device.watch()) is not None}
         now = self._now()
         events = [event for device in self._devices if (event := device.next_news()) is not None]
-        limit = max(0, min([*events, now + self._timeout]) - now)
+        limit = max(0, min([*events, now + (self._timeout if at_most is None else at_most)]) - now)
         await asyncio.wait(watches, timeout=limit / second, return_when=asyncio.FIRST_COMPLETED)
+
+    def observed(self) -> dict[str, Sample]:
+        """Return the sample of every device that the newest observation holds."""
+        return {device.name: device.sample for device in self._devices if device.sample is not None}
 
     async def newest(self) -> dict[str, Sample]:
         """Return the newest sample of every device that has one, also those not observed yet."""

@@ -83,6 +83,35 @@ def test_the_end_of_the_way_is_a_miss(velocity: float, end: float, position: flo
     assert seen(task(velocity=velocity, end=end), 0, velocity, position=position).terminated is over
 
 
+def test_an_emergency_that_is_latched_lasts_until_the_episode_ends() -> None:
+    """A button that is let go before the joint is at rest; in the next episode it is forgotten."""
+    for latched, states in ((True, [0.0, 1.0, 1.0]), (False, [0.0, 1.0, 0.0])):
+        stopping = task(latched=latched)
+        seen_states = [
+            seen(stopping, time * ms, 0.5, onset).state[0] for time, onset in ((10, None), (20, 15), (30, None))
+        ]
+        assert seen_states == states
+        moving = {"arm": Sample({"elbow_position": 0.0, "elbow_velocity": 0.5}, 0, 0, 0)}
+        assert stopping.urgent({**moving, "timer": Sample({"expired": False}, 0, 0, 0)}) is latched
+        stopping.begin()
+        assert seen(stopping, 40 * ms, 0.5).state == (0.0,)
+
+
+def test_a_button_that_is_held_from_before_is_no_emergency_until_it_is_pressed_anew() -> None:
+    stopping = task(latched=True)
+    looks = ((10, 5), (20, 5), (30, None), (40, 35))
+    states = [seen(stopping, time * ms, 0.5, onset).state[0] for time, onset in looks]
+    assert states == [0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(("velocity", "end", "obstacle", "left"), [(0.5, 0.9, 0.7, 0.4), (-0.5, -0.9, -0.2, 0.5)])
+def test_what_is_left_to_an_obstacle_is_told(velocity: float, end: float, obstacle: float, left: float) -> None:
+    stopping = task(velocity=velocity, end=end, obstacle=obstacle)
+    joint = Sample({"elbow_position": 0.3, "elbow_velocity": velocity}, 7, 8, 0)
+    assert stopping.seen({"arm": joint}) == pytest.approx((7, left, 0.5))
+    assert (stopping.speed, stopping.button) == (0.5, "timer")
+
+
 def test_it_is_urgent_until_the_joint_is_at_rest() -> None:
     stopping = task()
     for velocity, expired, urgent in ((0.5, False, False), (0.5, True, True), (0.0, True, False)):
@@ -101,6 +130,7 @@ def test_it_is_urgent_until_the_joint_is_at_rest() -> None:
         ({"velocity": 0.0}, "velocity is 0"),
         ({"at_rest": 0.6}, "at_rest is above 0 and below"),
         ({"end": 1.5}, "end: 1.5 is outside"),
+        ({"obstacle": 0.96}, "obstacle is 0.96 rad, not before the end"),
     ],
 )
 def test_what_does_not_fit_is_refused(settings: dict[str, object], sentence: str) -> None:

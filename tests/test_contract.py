@@ -19,12 +19,14 @@ from rtagent.units import ms
 from rtagent_drivers.fake import Sampling
 from rtagent_drivers.hallway import hallway
 from rtagent_drivers.stopping import stopping_joint
+from rtagent_drivers.switchboard import switchboard
 
 MAKERS: dict[str, Callable[[], Device]] = {
     "stopping": stopping_joint,
     "stopping, sampled": lambda: stopping_joint(sampling=Sampling(rate=500.0, delay=3 * ms, jitter=ms)),
     "hallway": hallway,
     "synchronous hallway": lambda: hallway(synchronous=True),
+    "switchboard": switchboard,
 }
 CHECKS = [name for name in vars(DeviceContract) if name.startswith("test_")]
 

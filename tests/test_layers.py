@@ -16,7 +16,7 @@ PACKAGE = Path(rtagent.__file__).parent
 DRIVERS = Path(rtagent_drivers.__file__).parent
 
 LAYERS = [
-    {"errors", "units", "specs", "experience", "schedule", "streams", "saving", "memory", "learn"},
+    {"errors", "units", "specs", "experience", "schedule", "ordering", "streams", "saving", "memory", "learn"},
     {"features", "learning", "kernels", "policy"},
     {
         "device", "events", "task", "tasks", "clock", "realtime", "costs", "pacing", "reaction",
@@ -25,7 +25,7 @@ LAYERS = [
     },
     {
         "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime",
-        "result", "keeping", "lifecycle", "shutdown", "protection",
+        "orderer", "result", "keeping", "lifecycle", "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

@@ -44,7 +44,7 @@ from rtagent.instruments import Instrument
 from rtagent.learn import Condition, Full, Learn, When
 from rtagent.learning import Demons, Horde, QLearning, Sarsa
 from rtagent.policy import EpsilonGreedy, Greedy
-from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, PRESETS, Component
+from rtagent.schedule import ACT, CHOOSE, FIXED, LEARN, OBSERVE, PRESETS, Component
 from rtagent.tasks import Signals, Stopping
 from rtagent_drivers.arm import arm
 from rtagent_drivers.fake import FakeDevice, Faults, Sampling
@@ -253,10 +253,6 @@ class Walk:
         return False
 
 
-ACTING = [name for name in PRESETS if name != "standard"]
-"""In the standard order an episode begins with another choice."""
-
-
 def walk(
     preset: str, *, learner: Any = None, clock_name: clock.ClockName = "virtual", delay: int = 3 * ms, **rules: Any
 ) -> tuple[Result, Journal]:
@@ -394,7 +390,7 @@ def test_learning_that_raises_ends_learning_and_not_acting(preset: str, clock_na
 
 
 def test_the_share_of_learning_is_that_of_the_time_it_took() -> None:
-    shares = {preset: walk(preset, queue=1)[0].as_dict()["learning"]["share"] for preset in PRESETS}
+    shares = {preset: walk(preset, queue=1)[0].as_dict()["learning"]["share"] for preset in FIXED}
     assert all(share == pytest.approx(3 * ms / (3 * ms + ALL_COSTS), rel=0.01) for share in shares.values()), shares
 
 

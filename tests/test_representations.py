@@ -1,4 +1,4 @@
-"""Tile coding against selective Kanerva coding: what is compared, what a cell measures, and what follows from rows."""
+"""Tile coding against selective Kanerva coding: what is compared, what a cell measures, what follows from rows."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_there_are_exactly_248_tile_codings_from_128_to_331776_features() -> Non
 @pytest.mark.parametrize("dimensions", DIMENSIONS)
 def test_a_tile_coding_has_as_many_features_as_it_says_and_covers_the_ranges(dimensions: int) -> None:
     state = {str(number): Spec(low=0.0, high=1.0) for number in range(dimensions)}
-    for each in tile_codings(dimensions):
+    for each in tile_codings(dimensions)[::7]:
         coder = coder_of({"tilings": each.tilings, "tiles": each.tiles}, state)
         assert (coder.size, coder.active) == (each.features, each.tilings)
     corners = [coder.encode(np.full(dimensions, end)).indices for end in (0.0, 1.0)]
@@ -126,6 +126,7 @@ def test_a_recording_is_measured_as_the_arm_is(tmp_path: Path) -> None:
     assert EXPERIMENT.measure(cells[0])["told"].startswith("mine.csv.gz: 2,000 rows in 2 sessions")
 
 
+@pytest.mark.slow
 def test_more_features_fit_into_more_time() -> None:
     short, long = (features_within(seconds, "tilings", 2, 0, quick=True).features for seconds in (1e-4, 1e-2))
     assert 20 < long / short < 500
@@ -212,6 +213,7 @@ def test_a_representation_that_diverges_is_not_the_best() -> None:
     assert {claim.verdict for claim in about(findings, "err less than tile coding")} == {Verdict.REPRODUCED}
 
 
+@pytest.mark.slow
 def test_figures_can_be_drawn_and_say_what_was_run() -> None:
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure

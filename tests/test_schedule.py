@@ -12,6 +12,7 @@ from rtagent.schedule import (
     ACT,
     CHOOSE,
     LEARN,
+    LISTED,
     OBSERVE,
     PRESETS,
     Component,
@@ -26,7 +27,7 @@ from rtagent.schedule import (
 
 LONGEST = 5
 CYCLES = 6
-ORDERS = [order for length in range(1, LONGEST + 1) for order in product(Component, repeat=length)]
+ORDERS = [order for length in range(1, LONGEST + 1) for order in product(LISTED, repeat=length)]
 POSSIBLE_PROLOGUES = [first for length in range(4) for first in product((OBSERVE, CHOOSE), repeat=length)]
 """Nothing acts in a prologue, so there is never a need for a longer one."""
 
@@ -168,8 +169,9 @@ def test_a_learner_that_needs_the_next_action_cannot_only_predict() -> None:
 
 
 def test_an_unknown_component_is_refused_with_the_names_that_there_are() -> None:
-    with pytest.raises(ScheduleError, match=r"'plan'.*act, observe, choose and learn"):
-        parse_order(["observe", "plan"])
+    for name in ("plan", "wait", "order"):
+        with pytest.raises(ScheduleError, match=rf"'{name}'.*act, observe, choose and learn"):
+            parse_order(["observe", name])
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -151,8 +151,8 @@ def test_thirty_trials_of_each_object_take_more_than_sixteen_minutes() -> None:
     assert world.values(time + 10 * second).keys() == world.spec.sensors.keys()
 
 
-@given(st.lists(st.integers(0, 40 * second), min_size=1, max_size=6), st.integers(0, 3))
-@settings(max_examples=20)
+@given(st.lists(st.integers(0, 40 * second), min_size=1, max_size=5), st.integers(0, 3))
+@settings(max_examples=10)
 def test_its_state_is_a_function_of_time_whoever_looks_and_fits_its_spec(times: list[int], seed: int) -> None:
     looked_at, other = begun(seed), begun(seed)
     expected = {time: other.values(time) for time in sorted(times, reverse=True)}
@@ -190,6 +190,7 @@ def test_what_cannot_be_is_refused(wrong: dict[str, object]) -> None:
         sorting_arm(**wrong)  # type: ignore[arg-type]  # that is the point
 
 
+@pytest.mark.slow
 def test_a_stream_is_written_by_a_command(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv.gz"
     command = [

@@ -135,7 +135,7 @@ def test_a_trace_keeps_to_the_format_and_holds_the_whole_run(preset: str, tmp_pa
     for each in spans.values():
         assert_nested(each)
     learning = reading.of("X", "agent", "learn, beside the loop" if preset == "background" else "learn")
-    assert {event["name"] for event in learning} == {"slice" if preset == "interruptible" else "learn"}
+    assert {event["name"] for event in learning} == {"slice" if PRESETS[preset].learn.slice else "learn"}
     assert sum(e["dur"] for e in learning) * 1e3 == pytest.approx(result._learning_time(), rel=1e-6)
 
 

@@ -25,13 +25,15 @@ Ends = Sequence[float] | None
 def recorded_stream(*, file: str, shuffle: int = -1, signals: Mapping[str, Ends] | None = None) -> Stream:
     """Return what a file holds, its sessions in their own order, or in that number `shuffle` has drawn.
 
-    `signals` are the columns that are wanted, each with its range (None: guessed from the values); without it every
-    column of numbers is. Rows in which a value is missing or outside its range are left out. A joint that has
-    a column `NAME_position` and none `NAME_velocity` is given one: the differences of its positions over time.
+    `signals` are those that are wanted, each with its range (None: guessed from the values); without it every column
+    of numbers is. Rows in which a value is missing or outside its range are left out. A joint that has a
+    column `NAME_position` and none `NAME_velocity` is given one: the differences of its positions over time.
     Raises `SpecError` for what cannot be read.
     """
-    given = {name: Signal(name, *(ends or (None, None))) for name, ends in (signals or {}).items()}
-    recording = recording_of(_table(file), Path(file).name, given or None)
+    table, wanted = _table(file), dict(signals or {})
+    made = {name: wanted.pop(name) for name in list(wanted) if _is_made(name, table.columns)}
+    given = {name: Signal(name, *(ends or (None, None))) for name, ends in wanted.items()}
+    recording = recording_of(table, Path(file).name, given or None)
     sessions = [_rows(recording, session) for session in recording.sessions]
     if shuffle >= 0:
         sessions = [sessions[place] for place in np.random.default_rng(shuffle).permutation(len(sessions))]
@@ -39,10 +41,17 @@ def recorded_stream(*, file: str, shuffle: int = -1, signals: Mapping[str, Ends]
     last = np.zeros(len(next(iter(columns.values()))), dtype=np.bool_)
     last[np.cumsum([len(next(iter(each.values()))) for each in sessions]) - 1] = True
     declared = {name: (spec.low, spec.high) for name, spec in recording.specs.items()}
+    declared |= {name: (ends[0], ends[1]) for name, ends in made.items() if ends is not None}
     guessed = {name: guessed_range(values) for name, values in columns.items() if name not in declared}
     rate = second / recording.interval if recording.interval else 0.0
     told = f"{recording.name}: {len(last):,} rows in {len(sessions)} sessions, {rate:.3g} Hz"
     return Stream(columns, declared | guessed, last, rate, told)
+
+
+def _is_made(name: str, columns: Mapping[str, FloatArray]) -> bool:
+    """Return whether a signal is made of another column, having none of its own."""
+    position = name.removesuffix(VELOCITY) + POSITION
+    return name not in columns and name.endswith(VELOCITY) and position in columns
 
 
 def _rows(recording: Recording, session: Session) -> dict[str, FloatArray]:

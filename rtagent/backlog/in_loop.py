@@ -155,11 +155,15 @@ class Inline:
 
 
 class InLoop(Inline):
-    """Learns only while nothing is urgent, or in slices until something new has arrived, or both."""
+    """Learns only while nothing is urgent, or in slices until something new has arrived, or both.
 
-    def __init__(self, backlog: Backlog, senses: Senses, urgency: Urgency) -> None:
+    `once`: it leaves off after each slice, and has looked at the world then.
+    """
+
+    def __init__(self, backlog: Backlog, senses: Senses, urgency: Urgency, *, once: bool = False) -> None:
         super().__init__(backlog)
-        self._senses, self._urgency = senses, urgency
+        self._senses, self._urgency, self._once = senses, urgency, once
+        self._looks = once or bool(backlog.rules.slice) or urgency.by_prediction
         self._slice, self._calm = backlog.rules.slice, backlog.rules.when is When.CALM
         self._recorder, self._ready = backlog.desk.recorder, ready_counter()
         self._learned_for = backlog.desk.learned_for
@@ -175,7 +179,7 @@ class InLoop(Inline):
                 await self._wait_while_urgent()
                 break
             await (self._learn_slice() if self._slice else self._learn_one())
-            if (self._slice or self._urgency.by_prediction) and await self._something_is_new():
+            if (self._looks and await self._something_is_new()) or self._once:
                 break
         if self.backlog.current is not None:
             self.backlog.current.suspended = True

@@ -70,10 +70,19 @@ class Work(Protocol):
 
 
 def make_work(
-    backlog: Backlog, senses: Senses, urgency: Urgency, *, virtual: bool, on_thread: OnThread = None
+    backlog: Backlog,
+    senses: Senses,
+    urgency: Urgency,
+    *,
+    virtual: bool,
+    on_thread: OnThread = None,
+    once: bool = False,
 ) -> Work:
-    """Return what learns by the rules of the backlog; a thread calls `on_thread` when it begins."""
+    """Return what learns by the rules of the backlog, on the loop a slice at a time where only `once` is told to.
+
+    A thread calls `on_thread` when it begins.
+    """
     rules = backlog.rules
     if rules.where is Where.THREAD:
         return Elsewhere(backlog, senses, SecondProcessor() if virtual else LearnerThread(on_thread))
-    return Inline(backlog) if rules.inline else InLoop(backlog, senses, urgency)
+    return Inline(backlog) if rules.inline and not once else InLoop(backlog, senses, urgency, once=once)

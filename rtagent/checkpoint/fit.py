@@ -24,16 +24,17 @@ def misfits(kept: Mapping[str, Any], scenario: Mapping[str, Any]) -> list[str]:
     pairs = [(table, kept.get(table), now.get(table)) for table in AGENT + (WORLD if exact else ())]
     if exact:
         pairs += [(f"run.{key}", kept["run"].get(key), now["run"].get(key)) for key in RUN]
-    return [clause for name, then, here in pairs for clause in _differences(name, then, here)]
+    return [clause for name, then, here in pairs for clause in differences(name, then, here)]
 
 
-def _differences(name: str, then: Any, here: Any) -> Iterator[str]:
+def differences(name: str, then: Any, here: Any) -> Iterator[str]:
+    """Yield a clause for each setting in which two tables, called `name`, differ; no name: whole scenarios."""
     if isinstance(then, Mapping) and isinstance(here, Mapping):
         for key in sorted(then.keys() | here.keys()):
-            yield from _differences(f"{name}.{key}", then.get(key), here.get(key))
+            yield from differences(f"{name}.{key}".lstrip("."), then.get(key), here.get(key))
     elif isinstance(then, list) and isinstance(here, list) and len(then) == len(here):
         for place, (one, other) in enumerate(zip(then, here, strict=True)):
-            yield from _differences(f"{name}.{place}", one, other)
+            yield from differences(f"{name}.{place}", one, other)
     elif then != here:
         yield f"{name} was {_written(then)} and is {_written(here)}"
 

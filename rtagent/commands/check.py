@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Mapping
+from math import prod
 
 from rtagent.commands.overrides import overrides
 from rtagent.device import Noting
@@ -53,6 +54,9 @@ def explain(scenario: Scenario, assembly: Assembly) -> Iterator[str]:
         yield f"beside it a Horde, over {scenario.parts['horde.features'].name} features of its own"
     yield from _explain_memory(assembly.memory)
     yield from _explain_schedule(assembly)
+    if (sweep := scenario.model.sweep) is not None:
+        combinations = prod(map(len, sweep.over.values()))
+        yield f"a sweep of {combinations} combinations, {sweep.trials} runs each, by rtagent sweep"
     yield from _warnings(scenario, assembly)
 
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Coroutine, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from rtagent import __version__
 from rtagent.checkpoint.keeper import Keeper
 from rtagent.commands.checkpoints import keeper_of, told
+from rtagent.commands.onlooker import Onlooker
 from rtagent.commands.overrides import overrides
-from rtagent.commands.progress import Progress
-from rtagent.commands.report import print_report
 from rtagent.errors import CheckpointError, RtagentError, ScenarioError
 from rtagent.latch import Latch
 from rtagent.realtime import Manners, manners
@@ -25,6 +24,7 @@ from rtagent.timeline import Timeline
 from rtagent.timeline import write as write_trace
 
 if TYPE_CHECKING:
+    from rtagent.commands.human import Human
     from rtagent.telemetry.link import Link
 
 
@@ -34,51 +34,66 @@ def run_command(arguments: argparse.Namespace) -> int:
         _check_output("--json", arguments.json)
         _check_output("--trace", arguments.trace)
         _check_recording(arguments.record)
-        scenario = load(arguments.scenario, overrides(arguments.scenario, arguments))
-        assembly = assemble(scenario)
+        scenario, assembly, human = _prepared(arguments)
         keeper = keeper_of(scenario, resume=arguments.resume)
     except (ScenarioError, CheckpointError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     with manners(assembly.realtime, scenario.model.run.clock, busy=assembly.never_sleeps) as granted:
-        return _run(scenario, assembly, granted, keeper, arguments)
+        return _run(scenario, assembly, granted, keeper, arguments, human)
+
+
+def _prepared(arguments: argparse.Namespace) -> tuple[Scenario, Assembly, Human | None]:
+    """Return what is to be run, and who plays it, if anybody does."""
+    given = overrides(arguments.scenario, arguments)
+    if arguments.human is None:
+        scenario = load(arguments.scenario, given)
+        return scenario, assemble(scenario), None
+    from rtagent.commands.human import prepare  # needs what not every system that can run fakes has
+
+    scenario, human = prepare(arguments.scenario, given, arguments)
+    return scenario, human.assembly, human
 
 
 def _run(
-    scenario: Scenario, assembly: Assembly, granted: Manners, keeper: Keeper | None, arguments: argparse.Namespace
+    scenario: Scenario,
+    assembly: Assembly,
+    granted: Manners,
+    keeper: Keeper | None,
+    arguments: argparse.Namespace,
+    human: Human | None,
 ) -> int:
     out = sys.stderr if arguments.json == "-" else sys.stdout
     if keeper is not None and keeper.resumed is not None and not arguments.quiet:
         out.write(f"{told(keeper, keeper.resumed)}\n")
-    progress = None if arguments.quiet else Progress(scenario, assembly, granted, out)
+    company = human or Onlooker(scenario, assembly, granted, None if arguments.quiet else out)
     timeline = Timeline() if arguments.trace else None
     refused = _tell_refused(granted.refused)
     result, failure = None, None
     latch = Latch()
+    if not company.begin(latch, out):
+        company.close()
+        return 1
     telemetry = _open_telemetry(scenario, assembly, latch, arguments.record)
     try:
         habits = Habits(granted.calm, granted.place_learner)
-        heard = (progress, timeline, telemetry and telemetry.collector)
+        heard = (*company.instruments, timeline, telemetry and telemetry.collector)
         run = assembly.run([each for each in heard if each is not None], habits, latch, keeper)
-        result = granted.run(
-            _with_keyboard(run, latch, None if arguments.quiet else out) if assembly.guarded else run
-        )
+        result = granted.run(company.accompany(run))
     except RunError as error:
         result, failure = error.result, error
     except RtagentError as error:
         sys.stderr.write(f"{arguments.scenario}: {error}\n")
         return 2
     finally:
-        if progress:
-            progress.close()
+        company.close()
         if telemetry:
             _tell_refused(telemetry.close(_end_in_words(result, failure)))
-    if not arguments.quiet:
-        print_report(result, out)
+    company.tell(result)
     _tell_refused(granted.refused[refused:])
     if failure is not None:
         _print_failure(failure)
-    _write(scenario, {**result.as_dict(), "realtime": granted.as_dict()}, arguments.json)
+    _write(scenario, {**result.as_dict(), "realtime": granted.as_dict(), **company.as_dict()}, arguments.json)
     traced = timeline is None or _write_trace(timeline, scenario, result, arguments.trace)
     return 0 if failure is None and not result.not_safe and result.learned_all and traced else 1
 
@@ -119,12 +134,6 @@ def _open_telemetry(scenario: Scenario, assembly: Assembly, latch: Latch, record
     except (OSError, AttributeError) as error:  # no memory to share, or another system
         _tell_refused([f"there is no telemetry: this machine has not what it needs: {error}."])
     return None
-
-
-async def _with_keyboard(run: Coroutine[Any, Any, Result], latch: Latch, out: TextIO | None) -> Result:
-    from rtagent.commands.keyboard import with_keyboard  # needs what not every system that can run fakes has
-
-    return await with_keyboard(run, latch, out)
 
 
 def _tell_refused(sentences: Sequence[str]) -> int:

@@ -82,6 +82,8 @@ def _write(planned: Plan, rows: Sequence[Row], out: Path) -> None:
 
     folder = out.with_suffix(".scenarios")
     folder.mkdir(exist_ok=True)
+    for old in folder.glob("[0-9]*.toml"):  # a sweep with more runs may have been there
+        old.unlink()
     for number, run in enumerate(planned.runs):
         (folder / f"{number:04}.toml").write_text(tomli_w.dumps(run.scenario), encoding="utf-8")
     write_table(

@@ -53,8 +53,8 @@ def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     run = f"{pairs[0][0]['trials']} agents, {pairs[0][0]['episodes']} episodes of at most 500 steps; virtual clock"
     figure = Figure(
         "curves",
-        f"CartPole that does not wait: steps of {STEP_MS} ms balanced, by episode, in means of {BLOCK} episodes, with "
-        f"one standard error. {run}.",
+        f"CartPole that does not wait: steps of {STEP_MS} ms balanced, by episode, in means of {BLOCK} episodes; "
+        f"bands: one standard error. {run}.",
         partial(_draw, groups),
         (9.0, 2.8),
     )

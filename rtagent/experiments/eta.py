@@ -11,18 +11,17 @@ import numpy as np
 
 from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row
-from rtagent.experiments.ring_finger import (
+from rtagent.experiments.ring_finger.errors import Errors, best, errors_of, ratio, spread_ratio
+from rtagent.experiments.ring_finger.figure import error_figure
+from rtagent.experiments.ring_finger.problem import (
+    MODELS,
     QUICK_SEEDS,
     QUICKLY,
     READINGS,
     SEEDS,
-    Errors,
-    best,
     cell_of,
     error_of,
-    errors_of,
-    ratio,
-    spread_ratio,
+    seconds,
     time_of,
 )
 from rtagent.experiments.statistics import Interval, above, all_of, below, interval
@@ -79,22 +78,16 @@ def _nearest(dimensions: int, prototypes: int, seed: int) -> list[float]:
     return nearest
 
 
-def seconds(cell: Cell) -> float:
-    """Estimate how long a cell takes."""
-    if cell["kind"] != "error":
-        return 1.0
-    active = cell["prototypes"] * float(sum(cell["etas"]))
-    return 0.1 + 884e3 / int(cell["every"]) * (5e-6 + 1e-9 * int(cell["prototypes"]) + 12e-9 * active)
-
-
 def find(pairs: Sequence[Pair], options: Options) -> Findings:
     """Return what was found."""
     by_reading = {reading: errors_of(pairs, reading) for reading in READINGS}
     claims = [claim for reading, errors in by_reading.items() for claim in _error_claims(errors, reading)]
     claims += [*_time_claims(pairs), _distance_claim(pairs)]
     told = next(row["told"] for cell, row in pairs if cell["kind"] == "error")
-    seeds = len({cell["seed"] for cell, _ in pairs if cell["kind"] == "error"})
-    figures = [_error_figure(errors, reading, seeds, told) for reading, errors in by_reading.items()]
+    figures = [
+        error_figure("6.1", errors, reading, told, lambda setting: f"{setting.prototypes:,} prototypes")
+        for reading, errors in by_reading.items()
+    ]
     return Findings(tuple(claims), (*figures, _distance_figure(pairs)), (), (f"Learned is {told}.",))
 
 
@@ -105,20 +98,20 @@ def _error_claims(errors: Errors, reading: str) -> Iterator[Claim]:
     first, last = errors[leasts[sizes[0]]], errors[leasts[sizes[-1]]]
     gain = ratio(last, first)
     yield Claim(
-        f"more prototypes err less, each with its best η (α = 0.01 as {reading})",
+        f"more prototypes err less, each with its best η ({reading})",
         "additional prototypes can decrease the prediction error",
         f"mean squared errors: {told}; {sizes[-1]:,} to {sizes[0]:,} {gain}",
         below(gain, 1.0),
     )
     early, late = (ratio(errors[leasts[more]], errors[leasts[less]]) for less, more in (sizes[:2], sizes[-2:]))
     yield Claim(
-        f"with diminishing returns (α = 0.01 as {reading})",
+        f"with diminishing returns ({reading})",
         "with diminishing returns",
         f"{sizes[1]:,} to {sizes[0]:,} {early}; {sizes[-1]:,} to {sizes[-2]:,} {late}",
         above(Interval(late.low - early.high, late.middle - early.middle, late.high - early.low)),
     )
     yield Claim(
-        f"{sizes[-1]:,} prototypes performed best of all (α = 0.01 as {reading})",
+        f"{sizes[-1]:,} prototypes performed best of all ({reading})",
         "the setting with 12,000 prototypes performed the best",
         f"{sizes[-1]:,} to {sizes[-2]:,} {late}",
         below(late, 1.0),
@@ -128,7 +121,7 @@ def _error_claims(errors: Errors, reading: str) -> Iterator[Claim]:
 
 def _spread_claim(errors: Errors, sizes: Sequence[int], reading: str) -> Claim:
     """Return: errors vary more with how prototypes are drawn where these are few."""
-    said = f"how prototypes are drawn matters more where they are few and η is small (α = 0.01 as {reading})"
+    said = f"how prototypes are drawn matters more where they are few and η is small ({reading})"
     theirs = "the smaller prototype sets show an increase in variability for small η"
     few, many = (
         min((each for each in errors if each.prototypes == size and np.isfinite(errors[each]).all()),
@@ -176,37 +169,18 @@ def _distance_claim(pairs: Sequence[Pair]) -> Claim:
     }
     return Claim(
         "distances to the nearest prototype vary more where prototypes are few",
-        "larger variability in the average distance when smaller prototype sets are randomly initialized (figure 6.2)",
+        "larger variability in the average distance when smaller sets are randomly initialized (figure 6.2)",
         f"standard deviation with {sizes[0]:,} to that with {sizes[-1]:,}: "
         + ", ".join(f"{dimensions} dimensions {each}" for dimensions, each in ratios.items()),
         all_of(above(each, 1.0) for each in ratios.values()),
     )
 
 
-def _error_figure(errors: Errors, reading: str, seeds: int, told: str) -> Figure:
-    caption = (
-        f"Figure 6.1 (α = 0.01 as {reading}): mean squared error over the last fifth of {told}, by η and "
-        f"prototypes; mean over {seeds} seeds with its 95 % interval. What diverged is left out."
-    )
-    return Figure(f"6.1-{'each' if reading == 'α' else 'divided'}", caption, partial(_draw_errors, errors))
-
-
-def _draw_errors(errors: Errors, canvas: Canvas) -> None:
-    axes = canvas.subplots()
-    for number, size in enumerate(sorted({setting.prototypes for setting in errors})):
-        own = sorted(each for each in errors if each.prototypes == size and np.isfinite(errors[each]).all())
-        ends = [interval(errors[each]) for each in own]
-        x, low, high = [each.etas[0] for each in own], [each.low for each in ends], [each.high for each in ends]
-        style.series(axes, number, x, [each.middle for each in ends], f"{size:,} prototypes", low=low, high=high)
-    axes.set(xscale="log", yscale="log", xlabel="η", ylabel="mean squared error (of the range, squared)")
-    axes.legend()
-
-
 def _distance_figure(pairs: Sequence[Pair]) -> Figure:
     caption = (
         f"Figure 6.2: distance from {POINTS} random points of the unit cube to their nearest prototypes, in "
         f"{', '.join(map(str, DIMENSIONS))} dimensions; {DISTANCE_SEEDS} sets of prototypes. Boxes: quartiles; "
-        "whiskers: 5 % to 95 %."
+        "whiskers: from the least to the greatest."
     )
     return Figure("6.2", caption, partial(_draw_distances, _distances(pairs)), (7.0, 4.0))
 
@@ -217,7 +191,7 @@ def _draw_distances(found: dict[tuple[int, int], list[list[float]]], canvas: Can
     for number, dimensions in enumerate(DIMENSIONS):
         groups = [np.ravel(found[dimensions, size]) for size in sizes]
         positions = [place + 0.2 * number - 0.3 for place in range(len(sizes))]
-        style.boxes(axes, number, groups, positions, f"{dimensions} dim.", width=0.17, whiskers=(5, 95))
+        style.boxes(axes, number, groups, positions, f"{dimensions} dim.", width=0.17)
     axes.set_xticks(range(len(sizes)), [f"{size:,}" for size in sizes])
     axes.set(xlabel="prototypes", ylabel="distance to the nearest prototype")
     axes.legend()
@@ -231,5 +205,5 @@ EXPERIMENT = Experiment(
     measure=measure,
     find=find,
     seconds=seconds,
-    models=("Learned is the simulated grasping experiment of chapter 5: see there (multimodal) what it models.",),
+    models=MODELS,
 )

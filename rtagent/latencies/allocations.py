@@ -3,7 +3,7 @@
 `sys.getallocatedblocks` is read before and after each instruction of Python; what it grew by is the function's. So
 a block counts that lives until the next instruction, however soon it is freed again. Objects that Python keeps for
 reuse (its free lists: floats, small tuples, lists and dictionaries) take no block and are not counted, nor is what
-numpy or another library takes elsewhere.
+numpy or another library takes elsewhere. Each function is named with the component that it worked for.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
+from rtagent.backlog import Inline
 from rtagent.errors import SpecError, UndecidedError
 from rtagent.latencies.counts import Counts
 from rtagent.latencies.subject import Subject
 from rtagent.runtime import Runtime
+from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE
 
 SKIPPED, COUNTED = 23, 8
 """Cycles that fill caches and free lists, the last `SETTLING` of them traced already, and cycles that count."""
@@ -28,6 +30,20 @@ SKIPPED, COUNTED = 23, 8
 SETTLING = 3
 BOUNDARY = Runtime._tell.__code__
 """What is called once a cycle, after the act."""
+
+CYCLE = "cycle"
+COMPONENTS: dict[CodeType, str] = {
+    Runtime.go_on.__code__: CYCLE,
+    Runtime._observe.__code__: OBSERVE,
+    Runtime._choose.__code__: CHOOSE,
+    Runtime._act.__code__: ACT,
+    Runtime._learn.__code__: LEARN,
+    Inline.learn.__code__: LEARN,
+}
+"""What begins, or goes on with, a component; what runs between them is the cycle's own."""
+
+Place = tuple[str, CodeType]
+"""A component, and a function."""
 
 NOTE = "(blocks that live until the next instruction; the median of all cycles)"
 
@@ -56,19 +72,20 @@ def allocations(subject: Subject) -> Counts:
     return Counts("allocations", subject.name, _medians(cycles), NOTE)
 
 
-def _medians(cycles: list[Counter[CodeType]]) -> dict[str, float]:
+def _medians(cycles: list[Counter[Place]]) -> dict[str, float]:
     found: Counter[str] = Counter()
-    for code in set().union(*cycles):
-        counts = sorted(cycle[code] for cycle in cycles)
-        found[_name(code)] += counts[len(counts) // 2]
+    for place in set().union(*cycles):
+        counts = sorted(cycle[place] for cycle in cycles)
+        found[_name(place)] += counts[len(counts) // 2]
     return {name: count for name, count in sorted(found.items()) if count}
 
 
-def _name(code: CodeType) -> str:
-    """Return the name of a function, with its module's: in full where that is one of rtagent's."""
+def _name(place: Place) -> str:
+    """Return the name of a function, with its component's and its module's: in full where that is rtagent's."""
+    component, code = place
     parts = Path(code.co_filename).with_suffix("").parts
     starts = [number for number, part in enumerate(parts) if part in ("rtagent", "rtagent_drivers")]
-    return ".".join([*parts[starts[-1] if starts else -1 :], code.co_qualname])
+    return f"{component}: {'.'.join([*parts[starts[-1] if starts else -1 :], code.co_qualname])}"
 
 
 @contextmanager
@@ -88,9 +105,9 @@ class _Counter:
     """Traces every instruction. What it takes itself it has given back, or taken before it reads."""
 
     def __init__(self) -> None:
-        self.cycles: list[Counter[CodeType]] = []
-        self._cycle: Counter[CodeType] = Counter()
-        self._code: CodeType = BOUNDARY
+        self.cycles: list[Counter[Place]] = []
+        self._cycle: Counter[Place] = Counter()
+        self._component, self._code = CYCLE, BOUNDARY
         self._before = sys.getallocatedblocks()
 
     def called(self, frame: FrameType, event: str, arg: Any) -> Any:
@@ -119,6 +136,7 @@ class _Counter:
         grown = sys.getallocatedblocks() - self._before
         if grown:
             if grown > 0:
-                self._cycle[self._code] += grown
+                self._cycle[self._component, self._code] += grown
             self._before = sys.getallocatedblocks()
-        self._code = code
+        if code is not self._code:
+            self._component, self._code = COMPONENTS.get(code, self._component), code

@@ -4,19 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from math import inf
 
 import numpy as np
 
 from rtagent.errors import SpecError, UndecidedError, did_you_mean
 from rtagent.experience import FloatArray
-from rtagent.latencies.rounds import FLOOR, Measure, Rounds, Rules, floor, interleaved, of_subject, once
+from rtagent.latencies.rounds import (
+    FLOOR,
+    LEARNING,
+    Block,
+    Measure,
+    Rounds,
+    Rules,
+    floor,
+    interleaved,
+    of_subject,
+    once,
+)
 from rtagent.latencies.subject import Subject
 from rtagent.latencies.times import needed
 from rtagent.units import describe
 
 RESAMPLED = 2000
 SEED = 0
+EXACT = "Exact: measured under the virtual clock."
+
+
+class Verdict(StrEnum):
+    """What an interval says of a limit."""
+
+    SLOWER = "slower"
+    UNSURE = "not sure"
+    KEPT = ""
+    QUICKER = "quicker"
 
 
 @dataclass(frozen=True)
@@ -31,21 +53,34 @@ class Ratio:
     after: float
 
     def __str__(self) -> str:
+        return f"{self.name}: {self.said()}, {describe(self.after)} against {describe(self.before)}"
+
+    def said(self) -> str:
+        """Return the ratio with its interval."""
         sure = f" ({self.low:.3g} to {self.high:.3g})" if self.high > self.low else ""
-        return f"{self.name}: {self.ratio:.3g} ×{sure}, {describe(self.after)} against {describe(self.before)}"
+        return f"{self.ratio:.3g} ×{sure}"
+
+    def verdict(self, limit: float) -> Verdict:
+        """Say whether it takes at most `limit` times as long: surely not where the whole interval is above."""
+        if self.low > limit:
+            return Verdict.SLOWER
+        if self.ratio > limit:
+            return Verdict.UNSURE
+        return Verdict.QUICKER if self.high < 1 / limit else Verdict.KEPT
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The ratios of two runs, of one run to a floor; what had too few times to compare is in `too_few`."""
+    """The ratios of two runs, or of one run to a floor.
+
+    What had too few times to compare is in `too_few`; `sure` is a sentence on the intervals.
+    """
 
     before: str
     after: str
     ratios: Mapping[str, Ratio]
     too_few: Mapping[str, int]
-    rounds: Rounds
-    confidence: float
-    exact: bool = False
+    sure: str
 
     def __getitem__(self, name: str) -> Ratio:
         """Return a ratio; raises `UndecidedError` where too few times were measured, `SpecError` for no name."""
@@ -69,19 +104,19 @@ class Comparison:
         if not limit > 0:
             raise SpecError(f"the limit {limit} is no ratio: give how many times as long is allowed, such as 1.2.")
         ratios = [self[name] for name in names] or [self["reaction"], *self._others()]
-        over = [ratio for ratio in ratios if ratio.low > limit]
+        over = [ratio for ratio in ratios if ratio.verdict(limit) is Verdict.SLOWER]
         if over:
             raise AssertionError(self._said(over, limit))
-        open_ones = [ratio for ratio in ratios if ratio.ratio > limit]
+        open_ones = [ratio for ratio in ratios if ratio.verdict(limit) is Verdict.UNSURE]
         if open_ones:
             raise UndecidedError(
                 f"it is not sure that {self.after} keeps to {limit:g} × {self.before}: "
-                f"{'; '.join(map(str, open_ones))}. {self._sure()} Measure more rounds."
+                f"{'; '.join(map(str, open_ones))}. {self.sure} Measure more rounds."
             )
 
     def lines(self) -> list[str]:
         """Return what was measured, a line each."""
-        told = [f"{self.after}, to {self.before}: {self._sure()}"]
+        told = [f"{self.after}, to {self.before}: {self.sure}"]
         told += [f"  {ratio}" for ratio in self.ratios.values()]
         if self.too_few:
             told += [f"  too few to compare: {', '.join(f'{name} ({n})' for name, n in self.too_few.items())}"]
@@ -93,15 +128,10 @@ class Comparison:
     def _said(self, over: Sequence[Ratio], limit: float) -> str:
         first, *more = sorted(over, key=lambda ratio: (ratio.name in WHOLES, -(ratio.after - ratio.before)))
         told = [f"{self.after} is slower than {limit:g} × {self.before}, in {first.name} above all.", f"  {first}"]
-        return "\n".join([*told, *(f"  {ratio}" for ratio in more), f"{self._sure()}"])
-
-    def _sure(self) -> str:
-        if self.exact:
-            return "Exact: measured under the virtual clock."
-        return f"Intervals of {self.confidence:.0%}, from {self.rounds.said()}"
+        return "\n".join([*told, *(f"  {ratio}" for ratio in more), f"{self.sure}"])
 
 
-WHOLES = ("reaction", "sensing", "deciding", "acting", "response", "sample age", FLOOR)
+WHOLES = ("reaction", "sensing", "deciding", "acting", "response", "sample age", LEARNING, FLOOR)
 """Times that components have their part in: told after the components themselves."""
 
 
@@ -116,7 +146,7 @@ def compare(before: Subject, after: Subject, rules: Rules, quantile: float = 0.5
     measures = [of_subject(before), of_subject(after)]
     exact = before.clock == "virtual"
     rounds = once(measures) if exact else interleaved(measures, rules)
-    return _compared(before.name, after.name, rounds, rules, quantile, exact=exact)
+    return compared(before.name, after.name, rounds, rules, quantile, exact=exact)
 
 
 def to_floor(subject: Subject, rules: Rules, quantile: float = 0.5) -> Comparison:
@@ -124,45 +154,92 @@ def to_floor(subject: Subject, rules: Rules, quantile: float = 0.5) -> Compariso
     if subject.clock != "real":
         raise SpecError(f"{subject.name} runs under the virtual clock, which has no floor: compare it with a time.")
     measure = of_subject(subject)
-    names = measure().keys()
+    names = measure.run().keys()
 
-    def wake_up() -> Mapping[str, Sequence[int]]:
+    def wake_up() -> Block:
         return dict.fromkeys(names, floor()[FLOOR])
 
-    measures: list[Measure] = [wake_up, measure]
-    return _compared("a bare wake-up", subject.name, interleaved(measures, rules), rules, quantile)
+    rounds = interleaved([Measure(wake_up), measure], rules)
+    return compared("a bare wake-up", subject.name, rounds, rules, quantile)
 
 
-def _compared(
-    before: str, after: str, rounds: Rounds, rules: Rules, quantile: float, *, exact: bool = False
+def compared(
+    before: str, after: str, rounds: Rounds, rules: Rules, quantile: float = 0.5, *, exact: bool = False
 ) -> Comparison:
+    """Return the ratios of the second measure of each round to the first."""
+    sides = [Quantiles.of([each.blocks[side] for each in rounds.kept], quantile) for side in range(2)]
     least = 1 if exact else max(rules.least, needed(quantile))
-    counts = {
-        name: min(len(block[name]) for each in rounds.kept for block in each.blocks)
-        for name in rounds.kept[0].blocks[0]
-    }
+    sure = EXACT if exact else f"Intervals of {rules.confidence:.0%}, from {rounds.said()}"
+    return _comparison((before, after), sides, least, rules.confidence, sure, paired=True)
+
+
+def to_stored(before: str, after: str, stored: Quantiles, now: Quantiles, rules: Rules) -> Comparison:
+    """Return the ratios of medians measured now to those stored: rounds of two sessions, which are no pairs."""
+    sure = (
+        f"Intervals of {rules.confidence:.0%}, from {now.rounds} rounds and {stored.rounds} stored ones, "
+        "measured at another time."
+    )
+    return _comparison((before, after), (stored, now), rules.least, rules.confidence, sure, paired=False)
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """A quantile (ns) of each name in each round, and how many times of it the poorest round had."""
+
+    values: Mapping[str, Sequence[float]]
+    counts: Mapping[str, int]
+
+    @classmethod
+    def of(cls, blocks: Sequence[Block], quantile: float = 0.5) -> Quantiles:
+        """Return those of blocks, one of each round; a name that a round has no times of has no values."""
+        counts = {name: min(len(block[name]) for block in blocks) for name in blocks[0]}
+        values = {
+            name: [float(np.quantile(block[name], quantile)) for block in blocks]
+            for name, count in counts.items()
+            if count
+        }
+        return cls(values, counts)
+
+    def joined(self, other: Quantiles) -> Quantiles:
+        """Return both: of the same rounds, under other names."""
+        return Quantiles({**self.values, **other.values}, {**self.counts, **other.counts})
+
+    @property
+    def rounds(self) -> int:
+        """How many rounds there are."""
+        return max(map(len, self.values.values()), default=0)
+
+
+def _comparison(
+    names: tuple[str, str], sides: Sequence[Quantiles], least: int, confidence: float, sure: str, *, paired: bool
+) -> Comparison:
+    before, after = sides
+    counts = {name: min(count, after.counts.get(name, 0)) for name, count in before.counts.items()}
     ratios = {
-        name: _ratio(name, _quantiles(name, rounds, quantile), rules.confidence)
+        name: _ratio(name, before.values[name], after.values[name], confidence, paired=paired)
         for name, count in counts.items()
         if count >= least
     }
     # a component that never ran is nothing to speak of; reactions are what all is about
     too_few = {name: n for name, n in counts.items() if n < least and (n or name == "reaction")}
-    return Comparison(before, after, ratios, too_few, rounds, rules.confidence, exact)
+    return Comparison(*names, ratios, too_few, sure)
 
 
-def _quantiles(name: str, rounds: Rounds, quantile: float) -> FloatArray:
-    """Return the quantile (ns) of each block, shape (rounds, 2)."""
-    return np.array([[np.quantile(block[name], quantile) for block in each.blocks] for each in rounds.kept])
+def _ratio(name: str, before: Sequence[float], after: Sequence[float], confidence: float, *, paired: bool) -> Ratio:
+    """Return the ratio of geometric means over rounds, with its interval by drawing rounds (pairs of them) anew."""
+    middles = float(np.median(before)), float(np.median(after))
+    if not (all(before) and all(after)):  # some costs nothing, as under the virtual clock
+        ratio = 1.0 if middles[0] == middles[1] else inf if middles[1] > middles[0] else 0.0
+        return Ratio(name, ratio, ratio, ratio, *middles)
+    logs = [np.log(before), np.log(after)]
+    drawn = _drawn(logs[1] - logs[0]) if paired else _drawn(logs[1]) - _drawn(logs[0], SEED + 1)
+    low, high = np.quantile(drawn, ((1 - confidence) / 2, (1 + confidence) / 2))
+    ratio = float(np.exp(logs[1].mean() - logs[0].mean()))
+    return Ratio(name, ratio, float(np.exp(low)), float(np.exp(high)), *middles)
 
 
-def _ratio(name: str, quantiles: FloatArray, confidence: float) -> Ratio:
-    """Return the geometric mean of the ratios of the rounds, with its interval by drawing rounds anew."""
-    before, after = (float(each) for each in np.median(quantiles, axis=0))
-    if not quantiles[:, 0].all() or not quantiles[:, 1].all():  # some costs nothing, as under the virtual clock
-        ratio = 1.0 if before == after else inf if after > before else 0.0
-        return Ratio(name, ratio, ratio, ratio, before, after)
-    logs = np.log(quantiles[:, 1] / quantiles[:, 0])
-    drawn = np.random.default_rng(SEED).integers(len(logs), size=(RESAMPLED, len(logs)))
-    low, high = np.quantile(logs[drawn].mean(axis=1), ((1 - confidence) / 2, (1 + confidence) / 2))
-    return Ratio(name, float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)), before, after)
+def _drawn(values: FloatArray, seed: int = SEED) -> FloatArray:
+    """Return the means of samples of these values, shape (RESAMPLED,)."""
+    places = np.random.default_rng(seed).integers(len(values), size=(RESAMPLED, len(values)))
+    means: FloatArray = values[places].mean(axis=1)
+    return means

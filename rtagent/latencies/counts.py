@@ -33,12 +33,20 @@ class Counts:
             head = f"{self.run} has {self.total:g} {self.what} in a cycle, and {limit:g} are allowed:"
             raise AssertionError("\n".join([head, *listed, *filter(None, [self.note])]))
 
+    def more_than(self, before: Counts | Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Return what there is more of than `before`, by name: how many then, and how many now."""
+        known = before.per_cycle if isinstance(before, Counts) else before
+        return {
+            name: (known.get(name, 0), count)
+            for name, count in self.per_cycle.items()
+            if count > known.get(name, 0)
+        }
+
     def assert_no_more_than(self, before: Counts | Mapping[str, float]) -> None:
         """Fail where any name has more than it had `before`."""
         __tracebackhide__ = True
-        known = before.per_cycle if isinstance(before, Counts) else before
-        more = {name: count for name, count in self.per_cycle.items() if count > known.get(name, 0)}
+        more = self.more_than(before)
         if more:
-            listed = [f"  {name}: {count:g}, and {known.get(name, 0):g} before" for name, count in more.items()]
+            listed = [f"  {name}: {now:g}, and {then:g} before" for name, (then, now) in more.items()]
             head = f"{self.run} has more {self.what} in a cycle than before:"
             raise AssertionError("\n".join([head, *listed, *filter(None, [self.note])]))

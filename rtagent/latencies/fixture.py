@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rtagent.clock import ClockName
-from rtagent.errors import SpecError
+from rtagent.errors import SpecError, UndecidedError
 from rtagent.latencies.allocations import allocations
-from rtagent.latencies.comparison import Comparison, compare, to_floor
+from rtagent.latencies.baseline import read
+from rtagent.latencies.comparison import Comparison, compare, to_floor, to_stored
 from rtagent.latencies.counts import Counts
+from rtagent.latencies.figures import timed, unmeasured
 from rtagent.latencies.rounds import Rules
 from rtagent.latencies.subject import Runs, Subject
 from rtagent.latencies.system_calls import system_calls
@@ -52,6 +54,22 @@ class Latency:
     def to_floor(self, what: What, *overrides: str, quantile: float = 0.5) -> Comparison:
         """Return how many bare wake-ups of this machine things take, by a quantile; both take turns, in rounds."""
         return self._told(to_floor(self._subject(what, overrides), self.rules, quantile))
+
+    def to_baseline(self, what: What, file: str | Path, *overrides: str) -> Comparison:
+        """Return how many times as long things take as in a baseline of `rtagent bench --save`: rounds of medians.
+
+        Raises `BaselineError` where that has no figures of the same scenario, `UndecidedError` where they are of
+        another machine.
+        """
+        subject, baseline = self._subject(what, overrides), read(Path(file))
+        if subject.path is None or subject.clock != "real":
+            raise SpecError(f"{subject.name} is no scenario under the real clock: baselines have times of those.")
+        figures = unmeasured(subject.path, subject.overrides)
+        stored = baseline.of(figures)
+        if sentence := baseline.times_differ_by():
+            raise UndecidedError(sentence)
+        now = timed(figures, self.rules)
+        return self._told(to_stored(str(file), subject.name, stored.times, now.times, self.rules))
 
     def allocations(self, what: What, *overrides: str) -> Counts:
         """Return the blocks of memory that each function takes in a cycle, under the virtual clock."""

@@ -36,15 +36,18 @@ class Disturbance:
 
 
 @contextlib.contextmanager
-def watched(processor: int | None) -> Iterator[Disturbance]:
-    """Measure what this thread, bound to `processor`, loses to others: nothing where the kernel does not tell."""
+def watched(processor: int | None, schedstat: Path | None = None) -> Iterator[Disturbance]:
+    """Measure what a thread, bound to `processor`, loses to others: nothing where the kernel does not tell.
+
+    The thread is this one, or that of a `schedstat` of its own.
+    """
     found, now = Disturbance(), clock.RealClock().now
-    began, stolen, waited = now(), _stolen(processor), _waited()
+    began, stolen, waited = now(), _stolen(processor), _waited(schedstat)
     try:
         yield found
     finally:
         found.lasted = now() - began
-        found.stolen, found.waited = _stolen(processor) - stolen, _waited() - waited
+        found.stolen, found.waited = _stolen(processor) - stolen, _waited(schedstat) - waited
 
 
 @contextlib.contextmanager
@@ -75,9 +78,9 @@ def _stolen(processor: int | None) -> int:
     return ticks * second // os.sysconf("SC_CLK_TCK")
 
 
-def _waited() -> int:
-    """Return for how long (ns) this thread was ready and did not run."""
+def _waited(schedstat: Path | None) -> int:
+    """Return for how long (ns) a thread was ready and did not run."""
     try:
-        return int(SCHEDSTAT.read_text().split()[1])
+        return int((schedstat or SCHEDSTAT).read_text().split()[1])
     except (OSError, IndexError):
         return 0

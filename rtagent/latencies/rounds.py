@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rtagent import clock
 from rtagent.errors import SpecError, UndecidedError
 from rtagent.latencies.host import Disturbance, bound_to, watched
 from rtagent.latencies.subject import Subject
-from rtagent.latencies.times import times_of
+from rtagent.latencies.times import AGE, ages_of, learning_of, times_of
 from rtagent.latency import sleeps
+from rtagent.result import Result
 from rtagent.units import ms
 
 LEAST_ROUNDS = 5
@@ -19,9 +21,20 @@ LEAST_ROUNDS = 5
 FLOOR = "wake-up"
 FLOOR_LASTS = 200 * ms
 
+LEARNING = "learning"
+
 Block = Mapping[str, Sequence[int]]
 """Times (ns) by name, from one run."""
-Measure = Callable[[], Block]
+Tell = Callable[[str], None]
+"""Hears a line on how far something is."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is measured: `run` runs it once; its thread is this one, or that of a `schedstat` of its own."""
+
+    run: Callable[[], Block]
+    schedstat: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -73,15 +86,26 @@ class Rounds:
         return f"{len(self.kept)} rounds, interleaved{aside}."
 
 
-def interleaved(measures: Sequence[Measure], rules: Rules) -> Rounds:
+def interleaved(measures: Sequence[Measure], rules: Rules, tell: Tell = lambda line: None) -> Rounds:
     """Measure each of them in every round, forwards and backwards in turn, on one processor.
 
     Raises `UndecidedError` where the machine was so busy that too few rounds are left.
     """
+    return sifted(taken(measures, rules, rules.rounds, tell), rules)
+
+
+def taken(measures: Sequence[Measure], rules: Rules, rounds: int, tell: Tell = lambda line: None) -> list[Round]:
+    """Return so many rounds, after those that warm up."""
+    found, all_rounds = list[Round](), rules.warm_up + rounds
     with bound_to(rules.processor) as processor:
-        for _ in range(rules.warm_up):
-            _round(measures, processor, backwards=False)
-        rounds = [_round(measures, processor, backwards=number % 2 == 1) for number in range(rules.rounds)]
+        for number in range(-rules.warm_up, rounds):
+            tell(f"round {number + rules.warm_up + 1} of {all_rounds}")
+            found.append(_round(measures, processor, backwards=number > 0 and number % 2 == 1))
+    return found[rules.warm_up :]
+
+
+def sifted(rounds: Sequence[Round], rules: Rules) -> Rounds:
+    """Return the rounds that count; raise `UndecidedError` where they are too few."""
     kept = [each for each in rounds if each.lost <= rules.stolen]
     lost = max(each.lost for each in rounds)
     if len(kept) < LEAST_ROUNDS:
@@ -97,20 +121,26 @@ def _round(measures: Sequence[Measure], processor: int | None, *, backwards: boo
     blocks: dict[int, Block] = {}
     found: list[Disturbance] = []
     for number in reversed(range(len(measures))) if backwards else range(len(measures)):
-        with watched(processor) as disturbance:
-            blocks[number] = measures[number]()
+        with watched(processor, measures[number].schedstat) as disturbance:
+            blocks[number] = measures[number].run()
         found.append(disturbance)
     return Round([blocks[number] for number in range(len(measures))], max(each.share for each in found))
 
 
 def once(measures: Sequence[Measure]) -> Rounds:
     """Measure each once: enough where every run is the same to the byte."""
-    return Rounds([Round([measure() for measure in measures], 0.0)])
+    return Rounds([Round([measure.run() for measure in measures], 0.0)])
 
 
 def of_subject(subject: Subject) -> Measure:
     """Return what runs a subject and gives its times."""
-    return lambda: times_of(subject.run())
+    return Measure(lambda: block_of(subject.run()))
+
+
+def block_of(result: Result) -> Block:
+    """Return the times of a result: ages by device, and under `LEARNING` what a transition took in the mean."""
+    times = {name: values for name, values in times_of(result).items() if name != AGE}
+    return {**times, **ages_of(result), LEARNING: learning_of(result)}
 
 
 def floor() -> Block:

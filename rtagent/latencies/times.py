@@ -14,6 +14,8 @@ from rtagent.schedule import Component
 from rtagent.units import describe
 
 PARTS = ("sensing", "deciding", "acting")
+AGE = "sample age"
+SLICES_KEPT = 0.99
 
 
 @dataclass(frozen=True)
@@ -129,5 +131,28 @@ def times_of(result: Result) -> Mapping[str, Sequence[int]]:
         "response": result.response_times,
         **{component.value: series.values() for component, series in recorder.components.items()},
         "slice": recorder.slices.values(),
-        "sample age": recorder.sample_age.values(),
+        AGE: recorder.sample_age.values(),
+    }
+
+
+def learning_of(result: Result) -> Sequence[int]:
+    """Return how long (ns) a transition took to learn, for each the mean of all.
+
+    A slice is cut by the time that it takes, so that work that takes longer makes more slices, not longer ones. The
+    longest hundredth of slices is left out, as it would decide the mean.
+    """
+    learning, slices = result.learning(), sorted(result.recorder.slices.values())
+    learned = sum(count for how, count in learning.counts.items() if how != "shed")
+    kept = slices[: ceil(SLICES_KEPT * len(slices))]
+    whole = sum(kept) if kept else learning.share * result.recorder.elapsed
+    return [round(whole / learned)] * learned
+
+
+def ages_of(result: Result) -> Mapping[str, Sequence[int]]:
+    """Return the ages (ns) at observation of the samples of each device, by "age of" its name."""
+    names, series = list(result.device_counters), result.recorder.sample_age
+    kept = series.values()  # of each observation the age of every device, in their order
+    forgotten = series.count - len(kept)
+    return {
+        f"age of {name}": kept[(place - forgotten) % len(names) :: len(names)] for place, name in enumerate(names)
     }

@@ -33,7 +33,7 @@ from rtagent.scenario.load import Part, Scenario
 from rtagent.scenario.model import InputTable
 from rtagent.scenario.patience import check_tolerance, check_watchdog
 from rtagent.scenario.source import KeyPath
-from rtagent.schedule import Component, Order, Schedule
+from rtagent.schedule import PRESETS, Component, Order, Schedule, parse_order
 from rtagent.specs import Spec
 from rtagent.streams import stream
 from rtagent.supervision import Supervision
@@ -153,7 +153,7 @@ def assemble(scenario: Scenario) -> Assembly:
     if schedule is not None and agent is not None:
         before = problems.attempt(("schedule",), partial(agent_prologue, schedule, agent)) or ()
         if task is not None and complete:
-            check = partial(check_urgency, schedule.learn, task, agent.learner, specs)
+            check = partial(check_urgency, schedule, task, agent.learner, specs)
             problems.attempt(_learn_path(scenario), check)
     plan = problems.attempt(("run", "episodes"), lambda: _plan(scenario, devices)) or Plan()
     problems.attempt(("run", "trials"), lambda: _refuse_trials(plan.trials, sum(memory.values())))
@@ -303,9 +303,11 @@ def _schedule(scenario: Scenario) -> Schedule:
     settings = {
         name: getattr(table, name) for name in ("learn_delay", "period", "overrun", "observe", "observe_timeout")
     }
-    if table.preset is not None:
-        return Schedule.preset(table.preset, **settings)
-    return Schedule(tuple(table.order or ()), **settings)
+    if table.preset is None:
+        return Schedule(parse_order(table.order or ()), **settings)
+    if table.ordering is not None and PRESETS[table.preset].ordering is not None:
+        settings["ordering"] = table.ordering
+    return Schedule.preset(table.preset, **settings)
 
 
 def _learn_path(scenario: Scenario) -> KeyPath:
@@ -335,12 +337,8 @@ def _watchdog(scenario: Scenario) -> Watchdog:
 
 
 def _costs(scenario: Scenario) -> Costs:
-    tables = {component: getattr(scenario.model.costs, component.value) for component in Component}
-    return {
-        component: Cost(table.low, table.high, table.distribution)
-        for component, table in tables.items()
-        if table is not None
-    }
+    tables = {Component(name): table for name, table in scenario.model.costs if table is not None}
+    return {component: Cost(table.low, table.high, table.distribution) for component, table in tables.items()}
 
 
 def _plan(scenario: Scenario, devices: Mapping[str, Device]) -> Plan:

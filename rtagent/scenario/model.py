@@ -12,8 +12,9 @@ from rtagent.events import Event
 from rtagent.features.inputs import Traced
 from rtagent.features.normalise import Outside
 from rtagent.learn import Full, When, Where
-from rtagent.schedule import PRESETS, Component, Overrun, Wait
-from rtagent.units import Duration, ms, us
+from rtagent.ordering import Ordering
+from rtagent.schedule import PRESETS, Overrun, Wait
+from rtagent.units import TIME, Duration, ms, us
 
 
 class Table(BaseModel):
@@ -36,16 +37,20 @@ class RunTable(Table):
     episode_steps: int = Field(0, ge=0, description="an episode is truncated after so many steps; 0: never")
 
 
+Listed = Literal["act", "observe", "choose", "learn"]
+
+
 class ScheduleTable(Table):
     """In which order the components run, and how the cycle is paced."""
 
     preset: str | None = Field(None, description="the order by its name: " + ", ".join(PRESETS))
-    order: list[Component] | None = Field(None, description="the order as a list, in place of a preset")
+    order: list[Listed] | None = Field(None, description="the order as a list, in place of a preset")
     learn_delay: Duration = Field(0, description="simulated cost of learning, for each transition learned")
     period: Duration = Field(0, description="the cycle's period, on absolute deadlines; 0: as fast as it goes")
     overrun: Overrun = Field(Overrun.SKIP, description="after a late cycle: skip missed deadlines or catch up")
     observe: Wait = Field(Wait.FRESH, description="observe waits for something fresh, or takes the latest")
     observe_timeout: Duration = Field(100 * ms, description="how long observe waits, at most")
+    ordering: Ordering | None = Field(None, description="how the order is learned, with the preset for that")
 
     @field_validator("preset")
     @classmethod
@@ -94,16 +99,24 @@ class CostTable(Table):
     high: Duration = Field(0, description="the most, the deviation, or the mean of the exponential")
 
 
-CostValue = Annotated[CostTable, BeforeValidator(_as_table)]
+class _OrTime:
+    """Describes to editors that a table may be written as a single time."""
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), TIME.__get_pydantic_json_schema__(schema, handler)]}
+
+
+CostValue = Annotated[CostTable, BeforeValidator(_as_table), _OrTime()]
 
 
 class CostsTable(Table):
-    """What the components cost under the virtual clock."""
+    """What the components cost under the virtual clock; `order` is the decision what comes next."""
 
     act: CostValue | None = None
     observe: CostValue | None = None
     choose: CostValue | None = None
     learn: CostValue | None = None
+    order: CostValue | None = None
 
 
 class SupervisionTable(Table):
@@ -262,11 +275,19 @@ def _lists_by_key(table: Any) -> Any:
     return lists
 
 
-_LISTS = {"additionalProperties": {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}}
+def _lists_schema(depth: int) -> dict[str, Any]:
+    """Describe lists by their keys to editors: in one table, or in tables within tables."""
+    inner = [_lists_schema(depth - 1)] if depth else []
+    kinds = [{"type": "array", "minItems": 1}, *inner]
+    return {"type": "object", "additionalProperties": {"anyOf": kinds}}
+
+
+DEEPEST = 6
+"""Of keys such as horde.features.input.traces.0.decay."""
 ListsByKey = Annotated[
     dict[str, Annotated[list[Any], Field(min_length=1)]],
     BeforeValidator(_lists_by_key),
-    WithJsonSchema({"type": "object", **_LISTS}),
+    WithJsonSchema(_lists_schema(DEEPEST)),
 ]
 
 

@@ -33,13 +33,13 @@ class Kept:
 def key_of(measure: Callable[..., object], cell: Cell) -> str:
     """Return the key of a cell: a digest of it, of the name of what measures it, and of rtagent's version."""
     known = [f"{measure.__module__}:{measure.__qualname__}", __version__, cell]
-    return hashlib.sha256(plain(known).encode()).hexdigest()[:32]
+    return hashlib.sha256(plain(known, sort=True).encode()).hexdigest()[:32]
 
 
-def plain(data: object) -> str:
-    """Return data as JSON, the same text for the same data; raise `SweepError` where it is not plain."""
+def plain(data: object, *, sort: bool = False) -> str:
+    """Return data as JSON, with keys in their order, or sorted; raise `SweepError` where it is not plain."""
     try:
-        return json.dumps(data, sort_keys=True, separators=(",", ":"))
+        return json.dumps(data, sort_keys=sort, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise SweepError(f"cells and rows are plain data, for JSON: {error}.") from None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rtagent.errors import SpecError
 from rtagent.experience import Command, Observation, Outcome, Sample, Stimulus
@@ -15,8 +16,16 @@ from rtagent.units import Angle, AngularVelocity, Duration, degree, second
 
 MOVE, STOP = 0, 1
 EMERGENCY = "emergency"
-EPISODE, COSTS = ("_emergency", "_answered"), ("_since", "_needless", "_told")
+EPISODE, COSTS = ("_emergency", "_answered", "_let_go"), ("_since", "_needless", "_told")
 """What is saved."""
+
+
+class Seen(NamedTuple):
+    """The joint at a time (ns): how far (rad) it is `left` to go to the obstacle, and its speed (rad/s)."""
+
+    time: int
+    left: float
+    speed: float
 
 
 class ArmStopping:
@@ -26,7 +35,10 @@ class ArmStopping:
     the direction). The episode ends with the joint at rest after a stop in Emergency, or, as a miss, beyond the
     position `end`. Slower than `at_rest` is at rest. Emergency costs 1 for each `reward_unit` from its onset
     until the joint is at rest, by the times of the samples; a stop that was chosen in Normal costs 1, and the
-    joint does stop. `signals` are further ones for demons, as for the task `stopping`.
+    joint does stop. With `latched` it is Emergency from when the flag turns true until the end of the episode, as
+    it must be with a button that is let go; one that is still held from before does not count. A stop has failed
+    where the joint comes to `obstacle`.
+    `signals` are further ones for demons, as for the task `stopping`.
     """
 
     actions = ("move", "stop")
@@ -40,6 +52,8 @@ class ArmStopping:
         velocity: AngularVelocity = 30 * degree,
         at_rest: AngularVelocity = 3 * degree,
         reward_unit: Duration = second,
+        latched: bool = False,
+        obstacle: Angle | None = None,
         signals: tuple[str, ...] = (),
     ) -> None:
         if not (velocity and reward_unit > 0):
@@ -50,6 +64,7 @@ class ArmStopping:
             raise SpecError("at_rest is above 0 and below the velocity at which the joint turns.")
         self._joint, self._flag = _Place.of(joint, "joint"), _Place.of(emergency, "emergency")
         self._velocity, self._end, self._at_rest = velocity, end, at_rest
+        self._latched, self.obstacle = latched, obstacle
         self._costs = _Costs(reward_unit)
         self._patterns = signals
         self.state: Mapping[str, Spec] = {EMERGENCY: Spec.flag()}
@@ -68,18 +83,23 @@ class ArmStopping:
             raise SpecError(f"emergency is {self._flag}, which is not true or false: name a flag.")
         devices[device].actuators[self._velocity_at].validate(self._velocity, "velocity")
         devices[device].sensors[self._position_at].validate(self._end, "end")
+        if self.obstacle is not None and self._way(self.obstacle) >= self._way(self._end):
+            raise SpecError(
+                f"obstacle is {self.obstacle:g} rad, not before the end at {self._end:g} rad: put it there."
+            )
         self._readings = Readings(picked(self._patterns, numbers_sensed(devices)), taken=(EMERGENCY,))
         self.state = {EMERGENCY: Spec.flag()} | self._readings.specs
 
     def begin(self) -> None:
         """Begin an episode."""
-        self._emergency = self._answered = False
+        self._emergency = self._answered = self._let_go = False
         self._costs.begin()
 
     def interpret(self, observation: Observation) -> Outcome:
         """Return whether it is an Emergency, and the signals; a joint at rest or at its end ends the episode."""
         joint, flag = (observation.samples[place.device] for place in (self._joint, self._flag))
-        self._emergency = bool(flag.values[self._flag.name])
+        self._emergency = self._is_emergency(flag)
+        self._let_go = self._let_go or not flag.values[self._flag.name]
         if self._emergency:
             self._costs.emergency_since(flag.world_time)
         stopped = self._answered and self._rests(joint)
@@ -89,7 +109,7 @@ class ArmStopping:
 
     def urgent(self, samples: Mapping[str, Sample]) -> bool:
         """Say that it is urgent from the onset of Emergency until the joint is at rest."""
-        emergency = bool(samples[self._flag.device].values[self._flag.name])
+        emergency = self._is_emergency(samples[self._flag.device])
         return emergency and not self._rests(samples[self._joint.device])
 
     def commands(self, action: int) -> Mapping[str, Command]:
@@ -103,6 +123,25 @@ class ArmStopping:
         """Say that stop is the correct answer."""
         return action == STOP
 
+    # What is judged
+
+    @property
+    def button(self) -> str:
+        """The device whose flag is the Emergency."""
+        return self._flag.device
+
+    def seen(self, samples: Mapping[str, Sample]) -> Seen:
+        """Return how the joint moves, and how far it is from the obstacle (its end, where there is none)."""
+        joint = samples[self._joint.device]
+        place = self._end if self.obstacle is None else self.obstacle
+        left = self._way(place) - self._way(float(joint.values[self._position_at]))
+        return Seen(joint.world_time, left, abs(float(joint.values[self._velocity_at])))
+
+    @property
+    def speed(self) -> float:
+        """How fast (rad/s) the joint is to turn."""
+        return abs(self._velocity)
+
     def save(self) -> Saved:
         """Return what has happened in the episode, as far as its reward and its end depend on it."""
         return save_fields(self, EPISODE) | {"costs": self._costs.save()}
@@ -112,12 +151,19 @@ class ArmStopping:
         restore_fields(self, EPISODE, saved)
         self._costs.restore(saved["costs"])
 
+    def _is_emergency(self, flag: Sample) -> bool:
+        held = bool(flag.values[self._flag.name])
+        return self._emergency or (held and self._let_go) if self._latched else held
+
     def _rests(self, joint: Sample) -> bool:
         return abs(float(joint.values[self._velocity_at])) < self._at_rest
 
     def _at_end(self, joint: Sample) -> bool:
-        beyond = float(joint.values[self._position_at]) - self._end
-        return beyond >= 0 if self._velocity > 0 else beyond <= 0
+        return self._way(float(joint.values[self._position_at])) >= self._way(self._end)
+
+    def _way(self, position: float) -> float:
+        """Return how far (rad) a position is in the direction of the motion."""
+        return position if self._velocity > 0 else -position
 
 
 @dataclass(frozen=True)

@@ -152,12 +152,17 @@ class Prediction(Record, kw_only=True, frozen=True):
 
 
 class Components(Record, kw_only=True, frozen=True):
-    """How long each component ran, in ns, since the record before: None where it did not."""
+    """How long each component ran, in ns, since the record before: None where it did not.
+
+    `order` is deciding which comes next, where that is learned, and `wait` is waiting.
+    """
 
     act: int | None = None
     observe: int | None = None
     choose: int | None = None
     learn: int | None = None
+    order: int | None = None
+    wait: int | None = None
 
 
 class Reaction(Record, kw_only=True, frozen=True):

@@ -82,7 +82,7 @@ def _listed(values: Any) -> str:
 
 
 def _components(record: Any) -> str:
-    names = ("observe", "choose", "act", "learn")
+    names = ("order", "observe", "choose", "act", "learn", "wait")
     known = [(name, getattr(record, name)) for name in names]
     return "  ".join(f"{name} {describe(value)}" for name, value in known if value is not None)
 

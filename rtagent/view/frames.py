@@ -14,7 +14,7 @@ from rtagent.units import second
 from rtagent.view.decimate import Grid, decimate, grid
 from rtagent.view.returns import returns
 from rtagent.view.runs import Runs
-from rtagent.view.seen import COMPONENTS, SeenRun
+from rtagent.view.seen import SeenRun
 
 MOST_COLUMNS = 2000
 MOST_SERIES = 48
@@ -96,7 +96,7 @@ def _about(run: SeenRun, wish: Wish, name: str) -> dict[str, Any]:
     told, signals = run.run, [{"key": f"{each.table}/{each.column}"} | each._asdict() for each in run.signals]
     about: dict[str, Any] = {"version": run.about, "signals": signals, "components": []}
     if "components" in run.tables:
-        about["components"] = list(COMPONENTS)
+        about["components"] = run.tables["components"].columns
     if told is not None:
         demons = [
             {"name": each.name, "known": each.gamma is not None and bool(each.signal)} for each in told.demons

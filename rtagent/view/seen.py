@@ -18,6 +18,8 @@ MOST_HAPPENINGS = 1000
 OF_THE_SENDER = ("run", "event", "counters")
 """Streams whose times are not those of the loop: a sender that is behind tells them first."""
 COMPONENTS = ("act", "observe", "choose", "learn")
+ORDERING = ("order", "wait")
+"""What else is told of a run that learns its ordering."""
 STEP = ("reward", "delta")
 """What of a transition is shown as a signal."""
 
@@ -118,9 +120,10 @@ class SeenRun:
         self._row("prediction", names, prediction.about_ns, prediction.values)
 
     def _components(self, took: records.Components) -> None:
-        times = [getattr(took, name) for name in COMPONENTS]
+        columns = COMPONENTS if took.order is None else COMPONENTS + ORDERING
+        times = [getattr(took, name) for name in columns]
         values = [None if time is None else time / 1000 for time in times]
-        self.about += self._row("components", COMPONENTS, took.time_ns, values)
+        self.about += self._row("components", columns, took.time_ns, values)
 
     def _reaction(self, reaction: records.Reaction) -> None:
         self.reactions.add(reaction)

@@ -117,6 +117,20 @@ def test_velocity_changes_no_faster_than_its_acceleration(commands: list[tuple[f
         before = limited
 
 
+def test_a_stop_that_is_told_again_aims_at_the_same_place_until_the_joint_is_told_to_go() -> None:
+    """Each from a newer reading, of a joint that still moves: it would never come to rest."""
+    its = servo("velocity", low=-1.0, high=1.0)
+
+    def told(now: int, position: float, value: float) -> Order:
+        its.reading, its.read_at = REST._replace(position=position, velocity=0.5), now
+        return its.told(value, now).order
+
+    first = told(second, 0.1, 0.0)
+    assert told(2 * second, 0.2, 0.0) == first
+    told(3 * second, 0.3, 0.5)
+    assert told(4 * second, 0.3, 0.0) != first
+
+
 @given(st.floats(allow_nan=False), st.floats(-1.0, 0.9), st.floats(0.01, 1.0))
 def test_a_position_is_sent_within_its_limits(value: float, low: float, span: float) -> None:
     its = servo("position", low=low, high=low + span)

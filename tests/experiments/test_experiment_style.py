@@ -16,6 +16,7 @@ from rtagent.experiments.experiment import Verdict
 from rtagent.experiments.scenarios import names, run_scenario, scenario
 from rtagent.experiments.statistics import (
     Interval,
+    _student,
     above,
     all_of,
     below,
@@ -99,14 +100,22 @@ def test_a_claim_of_several_parts_is_reproduced_where_all_are() -> None:
     assert all_of([UNDECIDED, NOT, REPRODUCED]) == NOT
 
 
-def test_an_interval_of_a_mean_is_as_wide_as_theory_says_and_holds_it_nineteen_times_of_twenty() -> None:
-    rng = np.random.default_rng(1)
-    samples = rng.normal(5.0, 2.0, (100, 40))
-    found = [interval(sample) for sample in samples]
-    inside = sum(each.low <= 5.0 <= each.high for each in found)
-    assert stats.binomtest(inside, 100, 0.95).pvalue > 0.001
-    widths = [each.high - each.low for each in found]
-    assert np.mean(widths) == pytest.approx(2 * 1.96 * 2.0 / np.sqrt(40), rel=0.05)
+@pytest.mark.parametrize("seeds", [3, 5, 10, 40])
+def test_an_interval_of_a_mean_holds_it_nineteen_times_of_twenty(seeds: int) -> None:
+    samples = np.random.default_rng(seeds).normal(5.0, 2.0, (300, seeds))
+    inside = sum(found.low <= 5.0 <= found.high for found in map(interval, samples))
+    assert 0.92 < inside / 300 < 0.98
+
+
+def test_an_interval_of_many_seeds_is_as_wide_as_theory_says() -> None:
+    samples = np.random.default_rng(1).normal(5.0, 2.0, (50, 60))
+    width = np.mean([found.high - found.low for found in map(interval, samples)])
+    assert width == pytest.approx(2 * stats.t.ppf(0.975, 59) * 2.0 / np.sqrt(60), rel=0.05)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 5, 9, 10, 15, 30, 200])
+def test_the_quantiles_of_student_are_right(freedom: int) -> None:
+    assert _student(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=2e-3)
 
 
 def test_of_one_seed_nothing_follows() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rtagent.experiments import hallway, reaction_time
+from rtagent.experiments import cartpole, hallway, reaction_time
 from rtagent.experiments.experiment import Experiment, Findings, Options, Verdict
 from rtagent.experiments.hallway.runs import ASYNCHRONOUS, SAME_COSTS, SYNCHRONOUS
 from rtagent.experiments.outcome import canvas_of
+from rtagent.experiments.reaction_time import real
 
 REPRODUCED, NOT, UNDECIDED = Verdict.REPRODUCED, Verdict.NOT_REPRODUCED, Verdict.UNDECIDED
 REACTION_TIME, HALLWAY = reaction_time.EXPERIMENT, hallway.EXPERIMENT
@@ -114,6 +116,44 @@ def test_a_hallway_that_differs_by_chance_leaves_the_question_open() -> None:
     found = verdicts(HALLWAY, walking(noisy, {"standard": 30.0, "reactive": 20.0}))
     assert found[0] == UNDECIDED
     assert REPRODUCED not in found[:4]
+
+
+def beside_hordes(each_demon_us: float, later_ms: Mapping[str, float]) -> Pairs:
+    """Return rows in which a step of learning takes so long for each demon, and a schedule reacts so much later."""
+    pairs: Pairs = []
+    for (bins, demons), schedule, seed in product(real.BINS.items(), real.QUICK_SCHEDULES, range(5)):
+        step = demons * each_demon_us / 1000
+        times = [(0.1 + 0.01 * seed + later_ms[schedule] * step) / 1000] * 10
+        trial = {"seed": seed, "reward": -sum(times), "reactions_s": times, "missed": 0}
+        cell = {"schedule": schedule, "bins": bins, "demons": demons, "seeds": [seed], "episodes": 20}
+        learning = [step * (1 + 0.01 * seed)] if schedule != "interruptible" else []
+        pairs.append((cell, {"trials": [trial], "learning_ms": learning}))
+    return pairs
+
+
+@pytest.mark.parametrize(
+    ("each_demon_us", "later_ms", "expected"),
+    [
+        (3.33, {"standard": 1.5, "reactive": 0.5, "interruptible": 0.0}, [REPRODUCED] * 3),
+        (0.01, {"standard": 0.5, "reactive": 1.5, "interruptible": 1.0}, [Verdict.DIFFERS, NOT, NOT]),
+    ],
+)
+def test_what_is_found_beside_hordes_follows_from_what_learning_took(
+    each_demon_us: float, later_ms: Mapping[str, float], expected: list[Verdict]
+) -> None:
+    assert verdicts(real.HORDE, beside_hordes(each_demon_us, later_ms)) == expected
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(-5.0, [REPRODUCED, REPRODUCED]), (5.0, [NOT, NOT])])
+def test_cartpole_is_better_or_worse_as_its_returns_are(slope: float, expected: list[Verdict]) -> None:
+    pairs: Pairs = []
+    for cell in cartpole.cells(Options()):
+        steeper = 2 if cell["schedule"] == "standard" else 1
+        returns = np.random.default_rng(cell["delay_ms"]).normal(
+            300 + steeper * slope * cell["delay_ms"], 5, (10, 60)
+        )
+        pairs.append((cell, {"returns": returns.tolist()}))
+    assert verdicts(cartpole.EXPERIMENT, pairs) == expected
 
 
 @pytest.mark.parametrize("experiment", [REACTION_TIME, HALLWAY], ids=lambda each: each.name)

@@ -20,7 +20,7 @@ from rtagent.replay.replayer import Replayed, Replayer, manner
 from rtagent.result import Result
 from rtagent.scenario import assemble, load
 
-PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
+PRESETS = ["standard", "reactive", "deferred", "interruptible", "background", "learned"]
 HORDE = ["horde.features.prototypes=60", "devices.arm.joints=2", "run.episodes=2"]
 EXPLORES = ["policy.type=epsilon_greedy", "policy.epsilon=0.3"]
 QUICK = ['devices.joint.onset=["30ms","50ms"]', "learn.queue=20"]

@@ -25,7 +25,7 @@ from rtagent_drivers.stopping import StoppingWorld, stopping_joint
 
 pytestmark = pytest.mark.slow
 
-PRESETS = ["standard", "reactive", "deferred", "interruptible", "background"]
+PRESETS = ["standard", "reactive", "deferred", "interruptible", "background", "learned"]
 SAMPLED = 'devices.joint.sampling={rate="100Hz",delay="3ms",jitter="5ms"}'
 FAULTS = 'devices.joint.faults={drop=0.1,duplicate=0.1,late=0.1,lateness="30ms"}'
 COSTS = (
@@ -68,6 +68,8 @@ OTHERS = [
             "task.signals=['arm.elbow_*']",
         ],
     ),
+    ("phases", ["run.episode_time=4s", "learn.queue=2"]),
+    ("phases_stopping", ["run.episodes=2"]),
     ("horde", ["run.episode_time=300ms", "features.prototypes=60", "run.episodes=2", "learner.rupee=true"]),
 ]
 

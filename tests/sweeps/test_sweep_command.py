@@ -13,12 +13,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 from parts import SCENARIOS
 
 from rtagent import clock
 from rtagent.__main__ import main
-from rtagent.scenario import assemble, load
+from rtagent.scenario import assemble, json_schema, load
 from rtagent.sweeps.plan import parse_over, plan
 
 STOPPING = str(SCENARIOS / "stopping.toml")
@@ -63,6 +64,7 @@ def test_each_combination_has_a_row_for_each_seed_as_a_run_alone_would_have_it(t
     settings = ["run.clock=virtual", "run.episodes=2", "run.seed=6", "schedule.preset=reactive"]
     alone = clock.run(assemble(load(STOPPING, [*settings, "schedule.learn_delay=100ms"])).run(), "virtual")
     row = found[5]
+    assert list(row)[:5] == ["run", "schedule.preset", "schedule.learn_delay", "seed", "ended"]
     assert json.loads(row["returns"]) == [episode.total_reward for episode in alone.episodes]
     assert float(row["reaction_median_s"]) == alone.reaction_time.median / 1e9
     assert (row["ended"], row["episodes"]) == ("done", "2")
@@ -89,9 +91,11 @@ def test_the_table_says_what_to_sweep_and_the_command_line_more_or_otherwise(tmp
     assert {run.values["schedule.preset"] for run in other.runs} == {"deferred"}
 
 
-def test_a_scenario_with_a_table_runs_as_one_without(tmp_path: Path) -> None:
+def test_a_scenario_with_a_table_runs_as_one_without(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = with_table(tmp_path)
     assert main(["run", path, *FAST]) == 0
+    assert main(["check", path]) == 0
+    assert "a sweep of 4 combinations, 2 runs each" in capsys.readouterr().out
     assert load(path).model.sweep is not None
     assert load(path).resolved()["sweep"]["over"]["schedule.preset"] == ["standard", "reactive"]
 
@@ -156,6 +160,21 @@ def test_a_bad_table_has_a_sentence(
     said = capsys.readouterr().err
     assert sentence in said
     assert f"{path}:" in said
+
+
+def test_the_schema_knows_the_table_in_both_its_forms() -> None:
+    validator = jsonschema.Draft202012Validator(json_schema())
+    text = Path(STOPPING).read_text()
+    validator.validate(tomllib.loads(text + TABLE))
+    for wrong in ("schedule.preset = []", '"schedule.preset" = "standard"'):
+        with pytest.raises(jsonschema.ValidationError):
+            validator.validate(tomllib.loads(f"{text}\n[sweep.over]\n{wrong}\n"))
+
+
+def test_fewer_runs_leave_no_scenario_of_others_behind(tmp_path: Path) -> None:
+    swept(tmp_path, "--trials", "3")
+    swept(tmp_path, "--trials", "2")
+    assert sorted(path.name for path in (tmp_path / "results.scenarios").iterdir()) == ["0000.toml", "0001.toml"]
 
 
 def test_other_results_are_not_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,12 +47,12 @@ def found_tools() -> list[str]:
 
 
 @contextmanager
-def browser(width: int = 1440, height: int = 1000) -> Iterator[Driver]:
-    """Give a browser."""
+def browser(width: int = 1440, height: int = 1000, *more: str) -> Iterator[Driver]:
+    """Give a browser, with `more` arguments."""
     chromium, driver = found_tools()
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
-    for argument in ("headless=new", "no-sandbox", "disable-gpu", "disable-dev-shm-usage"):
+    for argument in ("headless=new", "no-sandbox", "disable-gpu", "disable-dev-shm-usage", *more):
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     with webdriver.Chrome(options=options, service=Service(driver)) as window:

@@ -17,9 +17,9 @@ from rtagent_drivers.button.fake_presses import NOW_AND_THEN, FakePresses
 from rtagent_drivers.button.keyboard import Keyboard
 from rtagent_drivers.button.presses import SPEC, Change, Presses
 from rtagent_drivers.button.sockets import TCPSource, UnixSource
-from rtagent_drivers.button.sources import Source
+from rtagent_drivers.button.sources import Source, Viewer
 
-SourceName = Literal["keyboard", "tcp", "unix"]
+SourceName = Literal["keyboard", "tcp", "unix", "viewer"]
 
 OLDEST = 1 * second
 """A sender's time is believed where it is not in the future, and no longer ago."""
@@ -29,9 +29,9 @@ class Button:
     """A push button: the flag `pressed`, and a stimulus at each press.
 
     `source`: "keyboard", the key `key` of the terminal (released after `release_after` where the terminal tells of
-    no releases); "tcp", messages to `host`:`port`; "unix", messages to the socket `path`. A press is shown until it
-    was seen, and for `shortest` longer. Times are the sender's where it gives one that can be ("device"), else of
-    arrival. Raises `SpecError` for settings that do not fit together.
+    no releases); "tcp", messages to `host`:`port`; "unix", messages to the socket `path`; "viewer", whoever watches
+    the run. A press is shown until it was seen, and for `shortest` longer. Times are the sender's where it gives
+    one that can be ("device"), else of arrival. Raises `SpecError` for settings that do not fit together.
     """
 
     spec = SPEC
@@ -57,8 +57,10 @@ class Button:
             self._source = Keyboard(key, release_after)
         elif source == "tcp":
             self._source = TCPSource(host, port, token_file)
-        else:
+        elif source == "unix":
             self._source = UnixSource(path)
+        else:
+            self._source = Viewer()
         self._presses = Presses(shortest)
         self.counters = self._presses.counters
         self._opened, self._error = False, DisconnectedError("the button is closed: open it first.")
@@ -105,10 +107,10 @@ class Button:
         """Return the presses with after < time <= until (ns), in order, also those too short to be seen."""
         return self._presses.stimuli(after, until)
 
-    def press(self) -> None:
-        """Be pressed and released, now, by somebody who watches the run."""
+    def press(self, at: int | None = None) -> None:
+        """Be pressed, now or at a time (ns) that has just passed, and released, by somebody who watches the run."""
         if self._opened:
-            self.hear(True)
+            self.hear(True, at)
             self.hear(False)
 
     # What its source tells

@@ -28,3 +28,13 @@ class Source(Protocol):
 
     async def close(self) -> None:
         """Stop; may be called more than once."""
+
+
+class Viewer:
+    """Nothing to listen to: who watches the run presses, by `Button.press`."""
+
+    async def open(self, hearing: Hearing) -> None:
+        """Do nothing."""
+
+    async def close(self) -> None:
+        """Do nothing."""

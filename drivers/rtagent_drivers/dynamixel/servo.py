@@ -61,17 +61,20 @@ class Servo:
         self.silent_since: int | None = None
         self.error = 0
         self.on = False
+        self._rests: Order | None = None
         self.limits.reset()
 
     def save(self) -> Saved:
         """Return what is known of it."""
         reading = None if self.reading is None else list(self.reading)
-        return {"reading": reading, "limits": self.limits.save()} | save_fields(self, KNOWN)
+        rests = None if self._rests is None else [self._rests.address, list(self._rests.data)]
+        return {"reading": reading, "limits": self.limits.save(), "rests": rests} | save_fields(self, KNOWN)
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned."""
-        reading = saved["reading"]
+        reading, rests = saved["reading"], saved["rests"]
         self.reading = None if reading is None else Reading(*reading)
+        self._rests = None if rests is None else Order(rests[0], bytes(rests[1]))
         self.limits.restore(saved["limits"])
         restore_fields(self, KNOWN, saved)
 
@@ -104,10 +107,12 @@ class Servo:
 
     def stay(self, now: int) -> Order:
         """Return the order to stay where the joint is `now`."""
+        self._rests = None
         return stay(self.model, self.axis.joint.mode, self.axis.angle(self._position(now)))
 
     def go(self, position: float, speed: float) -> Order:
         """Return the order to go to a position, in modes position and velocity."""
+        self._rests = None
         return towards(self.model, self.axis.angle(position), speed)
 
     def _position(self, now: int) -> float:
@@ -129,10 +134,15 @@ class Servo:
         return order, direction * self._count(order, "goal_velocity")
 
     def _velocity(self, value: float, now: int) -> tuple[Order, float]:
-        """Go to a soft limit at a speed. What is slower than one count is a stop: 0 would be full speed."""
+        """Go to a soft limit at a speed. What is slower than one count is a stop: 0 would be full speed.
+
+        A stop that is told again aims at the same place: from readings of a joint that still moves, each would be
+        at another, and it would never come to rest.
+        """
         register = self.model.registers[speed_register(self.model)]
         if abs(value) < register.scale / 2:
-            return self.stay(now), 0.0
+            self._rests = self._rests or self.stay(now)
+            return self._rests, 0.0
         order = self.go(self.axis.high if value > 0 else self.axis.low, abs(value))
         return order, copysign(self._count(order, speed_register(self.model)), value)
 

@@ -141,13 +141,13 @@ def _figures(groups: Groups) -> tuple[Figure, ...]:
     return (
         Figure(
             "asynchronous",
-            f"Hallway-World goes on while the agent computes: return by episode, for each cost of learning. {run}",
+            f"Hallway-World goes on while the agent computes: what an episode costs. {run}",
             partial(_curves, groups, [(ASYNCHRONOUS, delay) for delay in delays(groups)]),
             (9.0, 3.2),
         ),
         Figure(
             "synchronous",
-            f"Hallway-World waits for each action: return by episode. The curves lie on one another. {run}",
+            f"Hallway-World waits for each action: what an episode costs. The curves lie on one another. {run}",
             partial(_curves, groups, [(SYNCHRONOUS, 0)]),
         ),
     )
@@ -161,17 +161,20 @@ def _curves(groups: Groups, panels: Sequence[tuple[str, float]], canvas: Canvas)
         )
         axes.set_title(f"learning takes {delay:g} ms" if world == ASYNCHRONOUS else "", fontsize="medium")
         axes.set_xlabel("episode")
-    drawn[0].set_ylabel("return (−s, and −1 for each wall)")
-    drawn[-1].legend(title="schedule", loc="lower right")
+    drawn[0].set_ylabel("minus the return (s, and 1 for each wall)")
+    drawn[0].set_yscale("log")  # the panels share it
+    drawn[-1].legend(title="schedule", loc="upper right")
 
 
 def _panel(axes: Axes, by_schedule: Mapping[str, Runs]) -> None:
     for number, (schedule, runs) in enumerate(by_schedule.items()):
-        curves = np.array([run["returns"] for run in runs])
+        curves = -np.array([run["returns"] for run in runs])
         blocks = curves.reshape(len(curves), -1, BLOCK).mean(axis=2)
         middle, error = blocks.mean(axis=0), 1.96 * blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
         ends = np.arange(BLOCK, curves.shape[1] + 1, BLOCK)
-        style.series(axes, number, ends, middle, schedule, low=middle - error, high=middle + error)
+        style.series(
+            axes, number, ends, middle, schedule, low=np.maximum(middle - error, middle / 10), high=middle + error
+        )
 
 
 def _table(groups: Groups) -> Table:

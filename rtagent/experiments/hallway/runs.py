@@ -8,9 +8,9 @@ from itertools import product
 from rtagent.experiments.experiment import Cell, Options, Row
 from rtagent.experiments.scenarios import run_scenario
 from rtagent.result import Result
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
-SCHEDULES = tuple(PRESETS)
+SCHEDULES = FIXED
 DELAYS_MS = (0, 20, 50, 100)
 SEEDS, QUICK_SEEDS, TOGETHER = 40, 10, 10
 EPISODES, LATE = 40, 10

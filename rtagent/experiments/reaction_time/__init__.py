@@ -17,7 +17,7 @@ EXPERIMENT = Experiment(
         "to: inertia, and delays of a servo's own, are not modelled.",
         "The costs of components are constants that are charged to a virtual clock: what an operating system adds "
         "is not in them; `rtagent reproduce reaction-time-real` measures under the real clock.",
-        "A unit of reward is a second spent in Emergency; the thesis counts microseconds.",
+        "A unit of reward is a second spent in Emergency, but for one table; the thesis counts microseconds.",
     ),
 )
 

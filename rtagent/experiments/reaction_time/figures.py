@@ -76,7 +76,7 @@ def _boxed(
     axes.set_xticks(places, [f"{delay:g}" for delay in delays(groups)])
     axes.set_xlabel(DELAY)
     axes.set_ylabel(label)
-    axes.legend(title="schedule")
+    axes.legend(title="schedule", loc="best")
 
 
 def _medians(groups: Groups, canvas: Canvas) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtagent.experiments.experiment import Cell, Claim, Findings, Options, Row, Verdict
 from rtagent.experiments.reaction_time.figures import figures
 from rtagent.experiments.reaction_time.groups import Groups, alike, delays, groups_of, median, reward, values
-from rtagent.experiments.reaction_time.tables import table
+from rtagent.experiments.reaction_time.tables import literal_table, table
 from rtagent.experiments.reaction_time.trials import Trial
 from rtagent.experiments.statistics import (
     Interval,
@@ -45,10 +45,13 @@ DEMONS_NOTE = (
 
 def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     """Compare the schedules, at each delay and over all of them."""
+    literal = [(cell, row) for cell, row in pairs if "reward_unit" in cell]
+    pairs = [(cell, row) for cell, row in pairs if "reward_unit" not in cell]
     groups = groups_of(pairs)
     made = (half_the_delay, a_timestep_more, quicker, falling, less_severe, more_variable, flat)
     claims = tuple(claim for make in made for claim in make(groups))
-    return Findings(claims, figures(groups, pairs), (table(groups),), (DEMONS_NOTE,))
+    further = (literal_table(literal),) if literal else ()
+    return Findings(claims, figures(groups, pairs), (table(groups), *further), (DEMONS_NOTE,))
 
 
 def half_the_delay(groups: Groups) -> Iterator[Claim]:

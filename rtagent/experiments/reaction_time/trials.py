@@ -8,9 +8,9 @@ from typing import Any
 from rtagent.experiments.experiment import Cell, Options, Row
 from rtagent.experiments.scenarios import run_scenario
 from rtagent.result import Result
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
-SCHEDULES = tuple(PRESETS)
+SCHEDULES = FIXED
 DELAYS_MS = (0, 50, 100, 250, 500)
 THESIS = ("standard", "reactive")
 TRIALS, QUICK_TRIALS, QUICK_TRIALS_OF_OURS = 30, 10, 2
@@ -20,6 +20,8 @@ EPISODES, LATE = 20, 10
 COSTS = {"observe": "1ms", "choose": "3us", "act": "1ms", "learn": "6us"}
 """What components take beside the delay: an exchange with a servo, through a USB adapter, about a millisecond;
 choosing and learning what they took under the real clock, in the median."""
+LITERAL_UNIT, LITERAL_DELAY_MS = "1us", 50
+"""The thesis prints that rewards count microseconds: a few trials take that literally."""
 TOGETHER = 10
 """So many trials are a cell, where they are short."""
 
@@ -28,12 +30,16 @@ Trial = Mapping[str, Any]
 
 def cells(options: Options) -> Sequence[Cell]:
     """Return each schedule with each delay, some trials to a cell; a trial of each has the same seed."""
-    return [
-        {"schedule": schedule, "delay_ms": delay, "seeds": seeds, "episodes": EPISODES, "costs": COSTS}
+    common = {"episodes": EPISODES, "costs": COSTS}
+    compared = [
+        {"schedule": schedule, "delay_ms": delay, "seeds": seeds, **common}
         for schedule in SCHEDULES
         for delay in DELAYS_MS
         for seeds in _together(_trials(schedule, delay, options.quick), schedule, delay)
     ]
+    first = list(range(1, 1 + QUICK_TRIALS))
+    literal = {"delay_ms": LITERAL_DELAY_MS, "reward_unit": LITERAL_UNIT, "seeds": first, **common}
+    return [*compared, *({"schedule": schedule, **literal} for schedule in THESIS)]
 
 
 def _trials(schedule: str, delay: float, quick: bool) -> int:
@@ -55,6 +61,7 @@ def measure(cell: Cell) -> Row:
 
 def _settings(cell: Cell, seed: int) -> list[str]:
     costs = [f"costs.{component}={cost}" for component, cost in cell["costs"].items()]
+    unit = [f"devices.joint.reward_unit={cell['reward_unit']}"] if "reward_unit" in cell else []
     return [
         "run.clock=virtual",
         f"run.seed={seed}",
@@ -63,6 +70,7 @@ def _settings(cell: Cell, seed: int) -> list[str]:
         f"schedule.preset={cell['schedule']}",
         f"schedule.learn_delay={cell['delay_ms']}ms",
         *costs,
+        *unit,
     ]
 
 
@@ -75,6 +83,7 @@ def trial(result: Result, seed: int) -> Trial:
         "reactions_s": [reaction.time / 1e9 for episode in late for reaction in episode.reactions.reactions],
         "responses_s": [time / 1e9 for episode in late for time in episode.reactions.responses],
         "missed": sum(episode.reactions.missed_responses for episode in late),
+        "anticipated": sum(episode.reactions.anticipated for episode in late),
     }
 
 

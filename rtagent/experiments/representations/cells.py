@@ -24,6 +24,7 @@ from rtagent.experiments.representations.within import TIME, features_within
 from rtagent.experiments.streams import Lesson, Stream, follow, named, part_error, returns, step_time
 from rtagent.features import FeatureCoder
 from rtagent.learning import TrueOnlineTD
+from rtagent.learning.traces import WORTH_COMPILING
 
 ALPHA, GAMMA, LAMBDA = 0.001, 0.9, 0.99
 READINGS = {"printed": (ALPHA, False), "divided": (ALPHA, True), "equal": (0.2, True)}
@@ -155,7 +156,8 @@ def _lesson(cell: Cell) -> tuple[Lesson, FeatureCoder]:
 def _learner(coder: FeatureCoder, reading: str) -> TrueOnlineTD:
     alpha, divided = READINGS[reading]
     alpha = alpha / coder.active if divided else alpha
-    return TrueOnlineTD(size=coder.size, active=coder.active, alpha=alpha, divide_alpha=False, lambda_=LAMBDA)
+    size, active = max(coder.size, WORTH_COMPILING), coder.active  # a smaller learner would not be compiled
+    return TrueOnlineTD(size=size, active=active, alpha=alpha, divide_alpha=False, gamma=GAMMA, lambda_=LAMBDA)
 
 
 def _step(lesson: Lesson, coder: FeatureCoder, rows: int) -> float:

@@ -36,11 +36,8 @@ class _Found:
         self._dimensions = sorted({dimensions for dimensions, _ in self._kanerva})
         sizes = [size for _, size in self._kanerva]
         self._smallest, self._largest = min(sizes), max(sizes)
-        in_time = [point for point in points if not point.size and point.step <= TIME]
-        self._tiles = {
-            dimensions: min((each for each in in_time if each.dimensions == dimensions), key=self._mean)
-            for dimensions in sorted({point.dimensions for point in in_time})
-        }
+        self._in_time = [point for point in points if not point.size and point.step <= TIME]
+        self._tiles = {dimensions: self._best_tiles(dimensions, reading) for dimensions in self._dimensions}
 
     def against_tiles(self) -> Iterator[Claim]:
         """Yield: selective Kanerva coding errs less than any tile coding within the time."""
@@ -54,7 +51,20 @@ class _Found:
                 f"{self._told_of(ours)}; the best tile coding ({best.called}, {best.features:,} features) "
                 f"{self._told_of(best)}; ratio {ratio}",
                 below(ratio, 1.0),
+                self._at_one_pace(ours) if self._reading == PRINTED else "",
             )
+
+    def _best_tiles(self, dimensions: int, reading: str) -> Point:
+        own = [each for each in self._in_time if each.dimensions == dimensions]
+        return min(own, key=lambda each: each.mean(reading))
+
+    def _at_one_pace(self, ours: Point) -> str:
+        """Say how they compare where all representations learn at the same pace."""
+        best = self._best_tiles(ours.dimensions, EQUAL)
+        return (
+            f"where all learn at the same pace, {ours.mean(EQUAL):.3g} to {best.mean(EQUAL):.3g} ({best.called}), "
+            f"ratio {_ratio(ours, best, EQUAL)}"
+        )
 
     def more_dimensions(self) -> Iterator[Claim]:
         """Yield: added dimensions help selective Kanerva coding, and do not help tile coding."""

@@ -31,9 +31,8 @@ class Layout:
 
     @property
     def needed(self) -> dict[str, tuple[float, float] | None]:
-        """What a recording has to have, by column, with the range that is declared for it; velocities are made."""
-        names = [self.target, *(name for name in self.signals(12) if not name.endswith("_velocity"))]
-        return {name: self.ranges.get(name.rpartition("_")[2]) for name in names}
+        """What is needed of a recording, with the range that is declared for it, if any."""
+        return {name: self.ranges.get(name.rpartition("_")[2]) for name in [self.target, *self.signals(12)]}
 
 
 BENTO = Layout(
@@ -47,7 +46,12 @@ ARMPI = Layout(
     ("m5", "m4", "m3"),
     ("position", "voltage", "temperature", "velocity"),
     "counts (1000 are 240°)",
-    {"position": (0.0, 1000.0), "temperature": (20.0, 70.0), "voltage": (4500.0, 8500.0)},
+    {
+        "position": (0.0, 1000.0),
+        "velocity": (-600.0, 600.0),
+        "temperature": (20.0, 70.0),
+        "voltage": (4500.0, 8500.0),
+    },
     "it has no load: the supply's voltage at each servo, which sags under load, stands in its place, "
     "and velocities are differences of positions",
 )
@@ -60,4 +64,4 @@ def layout_of(columns: Collection[str], told: str) -> Layout:
         if set(layout.needed) <= set(columns):
             return layout
     wanted = " or ".join(", ".join(layout.needed) for layout in LAYOUTS)
-    raise SpecError(f"{told} lacks columns that this experiment needs: call them {wanted}.")
+    raise SpecError(f"{told} lacks columns that this experiment needs: call them {wanted} (velocities are made).")

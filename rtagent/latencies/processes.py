@@ -1,0 +1,111 @@
+"""Comparing two programs in processes of their own: what one process happens to be like meets a few rounds only."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from rtagent.errors import BaselineError
+from rtagent.latencies import worker
+from rtagent.latencies.comparison import Comparison, compared
+from rtagent.latencies.host import bound_to
+from rtagent.latencies.rounds import Block, Measure, Round, Rules, sifted, taken
+
+Command = Sequence[str]
+"""What starts a worker."""
+
+PAIRS = 3
+"""Each side has so many processes, in turn: where things happen to lie in memory makes code quicker or slower."""
+
+MOST = 2
+"""So many times as many are measured where rounds are set aside."""
+
+PATIENCE = 5.0
+"""Seconds that a worker may take to end."""
+
+
+class Worker:
+    """A process that measures, and rests while it is not asked."""
+
+    def __init__(self, name: str, command: Command) -> None:
+        self.name = name
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._pipes = self._process.stdin, self._process.stdout
+        self.measure = Measure(self.times, Path(f"/proc/{self._process.pid}/schedstat"))
+
+    def times(self) -> Block:
+        """Run once and return the times."""
+        block: Block = self.ask("times")
+        return block
+
+    def ask(self, job: str) -> Any:
+        """Have a job done; raise `BaselineError` with what became of it where it failed."""
+        questions, answers = self._pipes
+        try:
+            questions.write(f"{job}\n")
+            questions.flush()
+            answer = json.loads(answers.readline() or "{}")
+        except BrokenPipeError:
+            answer = {}
+        if "done" not in answer:
+            raise BaselineError(f"{self.name} cannot be measured: {answer.get('error', 'its process has ended')}")
+        return answer["done"]
+
+    def close(self) -> None:
+        """End it."""
+        with suppress(BrokenPipeError):
+            self._pipes[0].close()
+        self._pipes[1].close()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def scenario_command(python: str | Path, scenario: str | Path, keys: Sequence[str]) -> Command:
+    """Return what measures a scenario with the rtagent of an interpreter."""
+    return [str(python), "-P", worker.__file__, str(scenario), *keys]
+
+
+@contextmanager
+def workers(*sides: tuple[str, Command]) -> Iterator[Sequence[Worker]]:
+    """Start a worker for each side, and end them."""
+    started: list[Worker] = []
+    try:
+        for name, command in sides:
+            started.append(Worker(name, command))
+        yield started
+    finally:
+        for each in started:
+            each.close()
+
+
+def beside(
+    before: tuple[str, Command],
+    after: tuple[str, Command],
+    rules: Rules,
+    pairs: int = PAIRS,
+    tell: Callable[[str], None] = lambda line: None,
+) -> tuple[Comparison, Sequence[Round]]:
+    """Return how many times as long each thing takes `after`, and the rounds: processes of both take turns.
+
+    Each of `pairs` pairs of processes measures its part of the rounds, and further pairs do in place of rounds in
+    which others had the processor. Raises `UndecidedError` where the machine was
+    too busy, `BaselineError` where a side cannot be measured.
+    """
+    rounds = list[Round]()
+    for number in range(MOST * pairs):
+        tell(f"processes {number + 1} of {pairs}")
+        with bound_to(rules.processor), workers(before, after) as both:
+            rounds += taken([each.measure for each in both], rules, -(-rules.rounds // pairs))
+        if sum(each.lost <= rules.stolen for each in rounds) >= rules.rounds:
+            break
+    found = sifted(rounds, rules)
+    return compared(before[0], after[0], found, rules), found.kept
