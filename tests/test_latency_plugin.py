@@ -206,6 +206,14 @@ def test_what_is_the_same_in_every_round_is_told_exactly(true: float, by: float)
         found.assert_at_most(true / by)
 
 
+def test_a_round_that_was_disturbed_decides_nothing() -> None:
+    found = compared(
+        "before", "after", rounds([0.01, -0.02, 2.0, 0.0, 0.02, -0.01, 0.01, -1.0, 0.02, -0.02]), Rules()
+    )
+    assert found["reaction"].ratio == pytest.approx(1.0, abs=0.02)
+    found.assert_at_most(1.1)
+
+
 def test_what_is_not_sure_is_undecided_and_not_failed() -> None:
     noisy = compared("before", "after", rounds([0.4, -0.3, 0.5, -0.2, 0.3, 0.1]), Rules(), 0.5)
     noisy.assert_at_most(1.3)

@@ -275,6 +275,7 @@ def scenario_run(name: str, *overrides: str) -> Result:
     return virtually(assemble(load(SCENARIOS / f"{name}.toml", overrides)).run())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["phases", "phases_stopping"])
 def test_a_run_is_the_same_to_the_byte(name: str) -> None:
     short = "run.episodes=2" if name == "phases_stopping" else "run.episode_time=3s"
@@ -285,7 +286,7 @@ def test_a_run_is_the_same_to_the_byte(name: str) -> None:
 def test_its_decisions_and_its_waiting_are_told_and_charged() -> None:
     result = scenario_run("phases", "run.episode_time=3s", "costs.order=70us")
     components = result.components()
-    assert components["order"].count > 100
+    assert components["order"].count > 30
     assert components["order"].median == components["order"].maximum == 70 * us
     assert 0 < components["wait"].maximum <= 5 * ms
     share = result.learning().share

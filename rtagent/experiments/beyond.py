@@ -17,7 +17,7 @@ GRASPING, SORTING = "grasping", "sorting"
 STREAMS = (GRASPING, SORTING)
 UNITS = {GRASPING: "the sensor's range", SORTING: "the joint's range"}
 DIMENSIONS, SORTING_GAMMA, SORTING_LAMBDA, SORTING_ALPHA = 8, 0.9, 0.99, 0.2
-"""Of the sorting arm's prediction, as in section 4.3; α is what 8,000 prototypes have there, all active together."""
+"""Of the sorting arm's prediction, as in section 4.3; α is what 8,000 prototypes have there all together."""
 
 
 class Problem(NamedTuple):

@@ -28,6 +28,7 @@ from rtagent.latencies.times import needed
 from rtagent.units import describe
 
 RESAMPLED = 2000
+TRIMMED = 5
 SEED = 0
 EXACT = "Exact: measured under the virtual clock."
 
@@ -226,7 +227,7 @@ def _comparison(
 
 
 def _ratio(name: str, before: Sequence[float], after: Sequence[float], confidence: float, *, paired: bool) -> Ratio:
-    """Return the ratio of geometric means over rounds, with its interval by drawing rounds (pairs of them) anew."""
+    """Return the ratio of trimmed geometric means, with its interval by drawing rounds (pairs of them) anew."""
     middles = float(np.median(before)), float(np.median(after))
     if not (all(before) and all(after)):  # some costs nothing, as under the virtual clock
         ratio = 1.0 if middles[0] == middles[1] else inf if middles[1] > middles[0] else 0.0
@@ -234,12 +235,18 @@ def _ratio(name: str, before: Sequence[float], after: Sequence[float], confidenc
     logs = [np.log(before), np.log(after)]
     drawn = _drawn(logs[1] - logs[0]) if paired else _drawn(logs[1]) - _drawn(logs[0], SEED + 1)
     low, high = np.quantile(drawn, ((1 - confidence) / 2, (1 + confidence) / 2))
-    ratio = float(np.exp(logs[1].mean() - logs[0].mean()))
-    return Ratio(name, ratio, float(np.exp(low)), float(np.exp(high)), *middles)
+    middle = _trimmed(logs[1] - logs[0]) if paired else _trimmed(logs[1]) - _trimmed(logs[0])
+    return Ratio(name, float(np.exp(middle)), float(np.exp(low)), float(np.exp(high)), *middles)
 
 
 def _drawn(values: FloatArray, seed: int = SEED) -> FloatArray:
-    """Return the means of samples of these values, shape (RESAMPLED,)."""
+    """Return the trimmed means of samples of these values, shape (RESAMPLED,)."""
     places = np.random.default_rng(seed).integers(len(values), size=(RESAMPLED, len(values)))
-    means: FloatArray = values[places].mean(axis=1)
+    return _trimmed(values[places])
+
+
+def _trimmed(values: FloatArray) -> FloatArray:
+    """Return the mean over the last axis without the fifth at either end: a round that was disturbed is there."""
+    count = values.shape[-1]
+    means: FloatArray = np.sort(values, axis=-1)[..., count // TRIMMED : count - count // TRIMMED].mean(axis=-1)
     return means

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ class Worker:
         except BrokenPipeError:
             answer = {}
         if "done" not in answer:
-            raise BaselineError(f"{self.name} cannot be measured: {answer.get('error', 'its process has ended')}")
+            raise BaselineError(f"{self.name} cannot be measured: {_why(answer)}")
         return answer["done"]
 
     def close(self) -> None:
@@ -67,6 +67,12 @@ class Worker:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def _why(answer: Mapping[str, str]) -> str:
+    error = answer.get("error", "its process has ended.")
+    lacks = answer.get("kind") in ("ImportError", "ModuleNotFoundError")
+    return f"it is older than `rtagent bench`, or lacks a package ({error})." if lacks else error
 
 
 def scenario_command(python: str | Path, scenario: str | Path, keys: Sequence[str]) -> Command:
