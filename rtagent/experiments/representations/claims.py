@@ -37,7 +37,7 @@ class _Found:
         sizes = [size for _, size in self._kanerva]
         self._smallest, self._largest = min(sizes), max(sizes)
         self._in_time = [point for point in points if not point.size and point.step <= TIME]
-        self._tiles = {dimensions: self._best_tiles(dimensions, reading) for dimensions in self._dimensions}
+        self._tiles = {dimensions: self._best_tiles(dimensions) for dimensions in self._dimensions}
 
     def against_tiles(self) -> Iterator[Claim]:
         """Yield: selective Kanerva coding errs less than any tile coding within the time."""
@@ -54,17 +54,14 @@ class _Found:
                 self._at_one_pace(ours) if self._reading == PRINTED else "",
             )
 
-    def _best_tiles(self, dimensions: int, reading: str) -> Point:
-        own = [each for each in self._in_time if each.dimensions == dimensions]
-        return min(own, key=lambda each: each.mean(reading))
+    def _best_tiles(self, dimensions: int) -> Point:
+        return min((each for each in self._in_time if each.dimensions == dimensions), key=self._mean)
 
     def _at_one_pace(self, ours: Point) -> str:
-        """Say how they compare where all representations learn at the same pace."""
-        best = self._best_tiles(ours.dimensions, EQUAL)
-        return (
-            f"where all learn at the same pace, {ours.mean(EQUAL):.3g} to {best.mean(EQUAL):.3g} ({best.called}), "
-            f"ratio {_ratio(ours, best, EQUAL)}"
-        )
+        """Say how the two compare where all representations learn at the same pace."""
+        best = self._tiles[ours.dimensions]
+        found = _ratio(ours, best, EQUAL)
+        return f"at the same pace, the two err by {ours.mean(EQUAL):.3g} and {best.mean(EQUAL):.3g}, ratio {found}"
 
     def more_dimensions(self) -> Iterator[Claim]:
         """Yield: added dimensions help selective Kanerva coding, and do not help tile coding."""
