@@ -132,7 +132,7 @@ def _error(cell: Cell) -> Row:
 def _baseline(cell: Cell) -> Row:
     """Return the errors of predictions that know nothing of the state.
 
-    They are the mean of all before, the signal as it is, and what is learned with one feature that is always active.
+    They are the mean of all before, the signal as it is, and what is learned with one feature, always active.
     """
     stream = _stream(cell)
     signal = stream.column(layout_of(stream.columns, stream.told).target)
