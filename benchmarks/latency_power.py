@@ -94,7 +94,13 @@ def session(part: str, amount: int, stolen: float) -> Comparison | None:
 
 
 def sessions(part: str, amount: int, options: argparse.Namespace) -> list[Comparison | None]:
-    return [session(part, amount, options.stolen) for _ in range(options.sessions)]
+    """Return so many sessions; each is told as soon as it is over."""
+    found = []
+    for _ in range(options.sessions):
+        found.append(session(part, amount, options.stolen))
+        said = "undecided" if found[-1] is None else f"slower: {', '.join(slower(found[-1])) or 'nothing'}"
+        print(f"{part}, {amount} more: {said}", file=sys.stderr)
+    return found
 
 
 def slower(comparison: Comparison | None) -> list[str]:
