@@ -59,7 +59,7 @@ class Ordering:
     gamma: float = 0.1
     lambda_: float = 0.8
     epsilon: float = 0.003
-    explored: float = 20.0
+    explored: float = 3.0
     wait: Duration = 5 * ms
     look_within: Duration = 100 * ms
     act_within: Duration = second

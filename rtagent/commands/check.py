@@ -76,7 +76,8 @@ def _explain_memory(memory: Mapping[str, int]) -> Iterator[str]:
 def _explain_schedule(assembly: Assembly) -> Iterator[str]:
     schedule = assembly.schedule
     first = f"first {', '.join(assembly.prologue)}; then " if assembly.prologue else ""
-    yield f"schedule {schedule.name}: {first}{', '.join(schedule.order)}, again and again"
+    again = "in the order that it learns" if schedule.ordering else "again and again"
+    yield f"schedule {schedule.name}: {first}{', '.join(schedule.order)}, {again}"
     if schedule.learn_delay:
         yield f"learning costs {describe(schedule.learn_delay)} more for each transition"
     if schedule.period:

@@ -7,9 +7,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from rtagent.experience import FloatArray
-from rtagent.experiments import ring_finger
 from rtagent.experiments.grasping import ALPHA, TRAINED
 from rtagent.experiments.representations.signals import BENTO
+from rtagent.experiments.ring_finger import problem as ring_finger
 from rtagent.experiments.streams import Returns, named, returns
 from rtagent.specs import Spec
 

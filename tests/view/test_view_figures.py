@@ -172,6 +172,20 @@ def test_what_the_page_knows_is_not_sent_again() -> None:
     assert "about" not in again
 
 
+@pytest.mark.parametrize("ordering", [{}, {"order": 30_000, "wait": None}])
+def test_deciding_and_waiting_are_shown_of_a_run_that_learns_its_ordering(ordering: dict[str, int | None]) -> None:
+    runs = Runs()
+    runs.seen["arm/1"] = run = seen_run()
+    take(run, "components", 0, time=ms, act=2000, observe=5000, choose=1000, **ordering)
+    head, decoding = decoded(Frames(runs)(Wish(run="arm/1", series=["components/order", "components/act"]), 0.0))
+    series = list(decoding)
+    assert head["about"]["components"] == ["act", "observe", "choose", "learn", *ordering]
+    assert np.isnan(series[0]).all() == (not ordering)
+    assert np.nanmax(series[1]) == 2.0
+    if ordering:
+        assert np.nanmax(series[0]) == 30.0
+
+
 def test_before_there_is_a_run_the_frame_says_so() -> None:
     head, series = decoded(Frames(Runs())(Wish(), 0.0))
     assert head == {"run": "", "runs": []}
