@@ -17,7 +17,7 @@ from test_backlog import bits
 
 from rtagent import Agent, Cost, Limits, Plan, Result, RunError, Schedule, ms, run, second, us
 from rtagent import runtime as runtime_module
-from rtagent.errors import ScenarioError, ScheduleError
+from rtagent.errors import ScenarioError, ScheduleError, SpecError
 from rtagent.experience import Stimulus, Transition
 from rtagent.instruments import Instrument
 from rtagent.latch import Latch
@@ -395,6 +395,27 @@ def test_what_it_has_learned_goes_on_over_episodes_and_begins_anew_with_a_trial(
     run_stopping("learned", delay=5 * ms, trials=2, episodes=3, joint=stopping_joint(sampling=Sampling(rate=100.0)))
     assert len(made) == 2
     assert all(each.values.weights.any() for each in made)
+
+
+def test_what_was_kept_goes_on_with_the_same_decisions() -> None:
+    def decisions(made: Orderer, numbers: range) -> list[Option]:
+        return [
+            made.decide(
+                Around(number * ms, number * ms - (number % 3) * 4 * ms, number % 5, reward=number % 7, fresh=True)
+            )
+            for number in numbers
+        ]
+
+    made = orderer(seed=3, epsilon=0.3)
+    decisions(made, range(1, 200))
+    again = orderer(seed=4, epsilon=0.3)
+    again.restore(made.save())
+    assert decisions(again, range(200, 400)) == decisions(made, range(200, 400))
+
+
+def test_what_was_kept_with_other_bins_is_refused() -> None:
+    with pytest.raises(SpecError, match="saved with other settings"):
+        orderer(queue=(1, 2)).restore(orderer().save())
 
 
 # What does not fit

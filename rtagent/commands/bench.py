@@ -45,7 +45,7 @@ def bench_command(arguments: argparse.Namespace) -> int:
     except UndecidedError as error:
         sys.stderr.write(f"undecided: {error}\n")
     except (RtagentError, KeyboardInterrupt) as error:
-        sys.stderr.write(f"{error or 'interrupted.'}\n")
+        sys.stderr.write(f"{str(error) or 'interrupted.'}\n")
     return 1
 
 

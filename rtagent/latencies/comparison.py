@@ -119,9 +119,13 @@ class Comparison:
         """Return what was measured, a line each."""
         told = [f"{self.after}, to {self.before}: {self.sure}"]
         told += [f"  {ratio}" for ratio in self.ratios.values()]
-        if self.too_few:
-            told += [f"  too few to compare: {', '.join(f'{name} ({n})' for name, n in self.too_few.items())}"]
+        if few := self.worth_telling():
+            told += [f"  too few to compare: {', '.join(f'{name} ({n})' for name, n in few.items())}"]
         return told
+
+    def worth_telling(self) -> dict[str, int]:
+        """Return what had too few times, but for what never ran: reactions are what all is about."""
+        return {name: count for name, count in self.too_few.items() if count or name == "reaction"}
 
     def _others(self) -> Iterable[Ratio]:
         return (ratio for name, ratio in self.ratios.items() if name != "reaction")
@@ -221,8 +225,7 @@ def _comparison(
         for name, count in counts.items()
         if count >= least
     }
-    # a component that never ran is nothing to speak of; reactions are what all is about
-    too_few = {name: n for name, n in counts.items() if n < least and (n or name == "reaction")}
+    too_few = {name: count for name, count in counts.items() if count < least}
     return Comparison(*names, ratios, too_few, sure)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rtagent.errors import BaselineError
 from rtagent.latencies import worker
 from rtagent.latencies.comparison import Comparison, compared
 from rtagent.latencies.host import bound_to
-from rtagent.latencies.rounds import Block, Measure, Round, Rules, sifted, taken
+from rtagent.latencies.rounds import Block, Measure, Round, Rules, Tell, sifted, taken
 
 Command = Sequence[str]
 """What starts a worker."""
@@ -80,6 +81,10 @@ def scenario_command(python: str | Path, scenario: str | Path, keys: Sequence[st
     return [str(python), "-P", worker.__file__, str(scenario), *keys]
 
 
+def _told(tell: Tell, number: int, pairs: int, line: str) -> None:
+    tell(f"processes {number} of {pairs}: {line}")
+
+
 @contextmanager
 def workers(*sides: tuple[str, Command]) -> Iterator[Sequence[Worker]]:
     """Start a worker for each side, and end them."""
@@ -98,7 +103,7 @@ def beside(
     after: tuple[str, Command],
     rules: Rules,
     pairs: int = PAIRS,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Tell = lambda line: None,
 ) -> tuple[Comparison, Sequence[Round]]:
     """Return how many times as long each thing takes `after`, and the rounds: processes of both take turns.
 
@@ -108,9 +113,9 @@ def beside(
     """
     rounds = list[Round]()
     for number in range(MOST * pairs):
-        tell(f"processes {number + 1} of {pairs}")
         with bound_to(rules.processor), workers(before, after) as both:
-            rounds += taken([each.measure for each in both], rules, -(-rules.rounds // pairs))
+            measures = [each.measure for each in both]
+            rounds += taken(measures, rules, -(-rules.rounds // pairs), partial(_told, tell, number + 1, pairs))
         if sum(each.lost <= rules.stolen for each in rounds) >= rules.rounds:
             break
     found = sifted(rounds, rules)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 Groups = Mapping[tuple[str, str], Sequence[Row]]
 SHOWN = (Component.LEARN, Component.OBSERVE, Component.CHOOSE, Component.ACT, Component.ORDER, Component.WAIT)
 PHASES = ("calm", "urgent")
+FIRST = (LEARNED, *(name for name in SCHEDULES if name != LEARNED))
+"""The schedules in the order of their looks: the one that this is about has the strongest."""
 
 
 def figures(groups: Groups) -> tuple[Figure, ...]:
@@ -52,7 +54,7 @@ def _panels(canvas: Canvas) -> list[Axes]:
 def _curves(groups: Groups, canvas: Canvas) -> None:
     panels = _panels(canvas)
     for axes, (world, about) in zip(panels, WORLDS.items(), strict=True):
-        for number, name in enumerate(SCHEDULES):
+        for number, name in enumerate(FIRST):
             _curve(axes, number, name, groups[world, name])
         axes.set_title(world, fontsize="medium")
         axes.set_xlabel("part of the run")
