@@ -5,7 +5,7 @@ of processes. In some sessions one part of the second agent is a fifth slower, b
 observation by samples that are longer on their way); in others none is. How much more that has to be is measured
 first. All is done once while the other processor has nothing to do, and once while it is busy.
 
-A session takes some 10 s on a machine of its own, and there are 14 for each of `--sessions N` (20): 45 minutes.
+A session should take some 13 s on a machine of its own, and there are 14 for each of `--sessions N` (20): an hour.
 What others take of the processor makes it longer: rounds that they disturbed are measured anew; `--stolen SHARE`
 says how much is too much (0.1). A session that is undecided has caught nothing. `--parts NAME…` leaves out others.
 """

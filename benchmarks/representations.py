@@ -2,10 +2,10 @@
 
 Give a recording of a Hiwonder ArmPi FPV, with the columns t, session, m1_position, m1_temperature, m1_voltage,
 and so on. The base joint's position return, (1 - γ) Σ γᵏ z(t + k) with γ 0.9, is predicted from the signals of
-joint 5 (position and voltage: 2 dimensions), of joints 5 and 4 (also velocity and temperature: 8), and of 5, 4 and 3
-(12). Learning never stops; what counts is the mean absolute error over the last tenth, in counts, of which the
-joint has 1000. Every representation with every learner has those settings, of the ones tried, that did best over
-the tenth before.
+joint 5 (position and voltage: 2 dimensions), of joints 5 and 4 (also velocity and temperature: 8), and of 5, 4
+and 3 (12). Learning never stops; what counts is the mean absolute error over the last tenth, in counts, of which
+the joint has 1000. Every representation with every learner has those settings, of the ones tried, that did best
+over the tenth before.
 """
 
 from __future__ import annotations

@@ -57,7 +57,8 @@ class Agent:
         self.features, self.learner, self.policy = features, learner, policy
         self.rng = rng if rng is not None else np.random.default_rng()
         self.queue: deque[Transition] = deque()
-        if isinstance(features, Moving) and not isinstance(learner, Inheriting):
+        self._moving = features if isinstance(features, Moving) else None
+        if self._moving is not None and not isinstance(learner, Inheriting):
             raise SpecError(
                 f"prototypes move here, and {type(learner).__name__} cannot hand weights on: give it `inherit`, "
                 "or take another coder, such as selective_kanerva."
@@ -126,8 +127,8 @@ class Agent:
         episode always closes one, under the action that is still in force.
         """
         features = self.features.encode(outcome.state)
-        if isinstance(self.features, Moving):
-            self._moves += self.features.take_moves()
+        if self._moving is not None:
+            self._moves += self._moving.take_moves()
         self._reward += outcome.reward
         closed = None
         if self._acted or self._closes(outcome):

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import SCENARIOS
+from scipy.stats import trim_mean
 
 from rtagent import ms
 from rtagent.__main__ import main
@@ -179,9 +180,9 @@ def test_the_interval_of_two_sessions_holds_their_ratio(ratio: float, noise: flo
     found = to_stored("base", "now", sides[0], sides[1], RULES)["choose"]
     assert found.low <= found.ratio <= found.high
     logs = [np.log(side.values["choose"]) for side in sides]
-    assert np.log(found.ratio) == pytest.approx(logs[1].mean() - logs[0].mean())
+    assert np.log(found.ratio) == pytest.approx(trim_mean(logs[1], 0.2) - trim_mean(logs[0], 0.2))
     error = np.sqrt(sum(each.var() / rounds for each in logs))
-    assert np.log(found.high / found.low) == pytest.approx(2 * 1.96 * error, rel=0.25)
+    assert np.log(found.high / found.low) == pytest.approx(2 * 1.96 * error, rel=0.5)
 
 
 # Exactly

@@ -179,6 +179,10 @@ def worker(body: str) -> list[str]:
     [
         ("sys.exit(3)", "main cannot be measured: its process has ended"),
         ("""input(); print('{"error": "no joint."}')""", "main cannot be measured: no joint."),
+        (
+            """input(); print('{"error": "no module", "kind": "ImportError"}')""",
+            r"main cannot be measured: it is older than `rtagent bench`, or lacks a package \(no module\)\.",
+        ),
     ],
 )
 def test_what_cannot_be_measured_is_told(body: str, sentence: str) -> None:

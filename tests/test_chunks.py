@@ -11,8 +11,9 @@ import pytest
 from rtagent import kernels
 from rtagent.errors import SpecError
 from rtagent.experience import FeatureVector, FloatArray, Transition
-from rtagent.experiments.chunks import CHUNK, follow_chunks
-from rtagent.features import SelectiveKanerva
+from rtagent.experiments import chunks
+from rtagent.experiments.chunks import follow_chunks
+from rtagent.features import AdaptiveKanerva, SelectiveKanerva
 from rtagent.learning import SwiftTD, TrueOnlineTD
 from rtagent.specs import Spec
 
@@ -93,8 +94,9 @@ def test_a_stream_is_learned_at_once_as_one_by_one_to_the_last_bit(name: str, fo
     assert told.tolist() == pytest.approx([one_by_one.predict(each) for each in coded], abs=1e-12)
 
 
-def test_a_chunk_is_learned_up_to_a_row_and_only_predicted_from_there() -> None:
-    states, until = walk(CHUNK + 300), CHUNK + 50
+def test_a_chunk_is_learned_up_to_a_row_and_only_predicted_from_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chunks, "CHUNK", 64)
+    states, until = walk(300), 150
     cumulants = {"a": states[:, 0], "b": states[:, 1] ** 2}
     learners = {name: LEARNERS["true online"](coder()) for name in cumulants}
     found = follow_chunks(states, coder(), learners, cumulants, until)
@@ -104,6 +106,24 @@ def test_a_chunk_is_learned_up_to_a_row_and_only_predicted_from_there() -> None:
         before = learn_one_by_one(expected, coded[: until + 1], values)
         after = [expected.predict(features) for features in coded[until:]]
         assert found[name].tolist() == before + after
+
+
+def test_prototypes_move_between_chunks_and_their_weights_are_handed_on() -> None:
+    states, made = walk(200), {"prototypes": 100, "eta": 0.05, "interval": 20, "spacing": 0.001, "rare": 1.0}
+    at_once, own = (AdaptiveKanerva(state=STATE, **made) for _ in range(2))  # type: ignore[arg-type]  # its own
+    learners = [TrueOnlineTD(size=100, active=5, gamma=0.9, lambda_=0.8) for _ in range(2)]
+    found = follow_chunks(states, at_once, {"it": learners[0]}, {"it": states[:, 0]}, 100)["it"]
+    expected, moves = [], 0
+    for first in range(0, 100, 20):
+        indices, _ = own.encode_each(states[first : first + 21])
+        coded = [FeatureVector(row) for row in indices]
+        expected += learn_one_by_one(learners[1], coded, states[first : first + 20, 0])
+        for move in own.adapt(states[first + 20]):
+            learners[1].inherit(*move)
+            moves += 1
+    assert moves == 5
+    assert found[:100].tolist() == expected
+    assert at_once.prototypes.tolist() == own.prototypes.tolist()
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -14,9 +14,13 @@ from rtagent.backlog.backlog import Update
 from rtagent.backlog.in_loop import MOST_ROUNDS, look
 from rtagent.backlog.processors import LearnerThread
 from rtagent.clock import ready_counter, real_loop
+from rtagent.experience import Transition
+from rtagent.learning.linear import NOTHING
 from rtagent.schedule import Schedule
 from rtagent.senses import Senses
 from rtagent.units import ms
+
+STEP = Transition(NOTHING, None, 1.0, 0.0, NOTHING, None, 0, False, False)
 
 
 def on_real_loop(coroutine):
@@ -106,7 +110,7 @@ class Pieces:
 def test_a_thread_holds_the_weights_for_all_pieces_but_those_apart(apart):
     thread = LearnerThread()
     learner = Pieces(thread, apart)
-    update = Update(learner, None, 0, sliced=True)
+    update = Update(learner, STEP, 0, sliced=True)
     while not thread._step(update):
         pass
     assert learner.held == [True] + [not apart] * 3
@@ -123,7 +127,7 @@ def test_an_action_is_chosen_in_the_middle_of_a_piece_apart():
             assert chosen.wait(5)
             return 0.0
 
-    update = Update(Learner(), None, 0, sliced=True)
+    update = Update(Learner(), STEP, 0, sliced=True)
 
     def learn() -> None:
         while not thread._step(update):

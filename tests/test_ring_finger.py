@@ -16,7 +16,7 @@ from rtagent.experiments.ring_finger.problem import DIVIDED, READINGS, cell_of, 
 
 TRIALS = 8
 EXPERIMENTS = (eta.EXPERIMENT, prototype_sets.EXPERIMENT, several_eta.EXPERIMENT)
-SEEDS = 5
+SEEDS = 10
 READINGS_EACH = next(iter(READINGS))
 ErrorOf = Callable[[Cell], float | None]
 

@@ -25,8 +25,8 @@ Ends = Sequence[float] | None
 def recorded_stream(*, file: str, shuffle: int = -1, signals: Mapping[str, Ends] | None = None) -> Stream:
     """Return what a file holds, its sessions in their own order, or in that number `shuffle` has drawn.
 
-    `signals` are those that are wanted, each with its range (None: guessed from the values); without it every column
-    of numbers is. Rows in which a value is missing or outside its range are left out. A joint that has a
+    `signals` are those that are wanted, each with its range (None: guessed from the values); without it every
+    column of numbers is. Rows in which a value is missing or outside its range are left out. A joint that has a
     column `NAME_position` and none `NAME_velocity` is given one: the differences of its positions over time.
     Raises `SpecError` for what cannot be read.
     """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rtagent.commands.bench_plot import draw, is_there
 from rtagent.commands.bench_report import as_markdown, print_compared, print_figures, print_floor
-from rtagent.errors import BaselineError, ScenarioError, SpecError, UndecidedError
+from rtagent.errors import BaselineError, RtagentError, ScenarioError, SpecError, UndecidedError
 from rtagent.latencies.baseline import Baseline, read, write
 from rtagent.latencies.changes import Compared
 from rtagent.latencies.comparing import (
@@ -44,7 +44,9 @@ def bench_command(arguments: argparse.Namespace) -> int:
         return 2
     except UndecidedError as error:
         sys.stderr.write(f"undecided: {error}\n")
-        return 1
+    except (RtagentError, KeyboardInterrupt) as error:
+        sys.stderr.write(f"{str(error) or 'interrupted.'}\n")
+    return 1
 
 
 def _bench(arguments: argparse.Namespace, rules: Rules) -> int:

@@ -18,13 +18,15 @@ from rtagent.summary import Summary
 from rtagent.units import describe
 
 BINS, BAR_WIDTH = 8, 30
+WIDTH = 116
+"""In characters, where there is no terminal that has one."""
 COLOURS = {Verdict.MACHINE: "dim", Verdict.UNSURE: "yellow", Verdict.TOO_FEW: "yellow", Verdict.SAME: "default"}
 HEAD = ("", "before", "now", "change", "verdict")
 
 
 def print_figures(figures: Figures, out: TextIO) -> None:
     """Print what was measured of a scenario."""
-    console = Console(file=out, highlight=False, soft_wrap=True)
+    console = _console(out)
     console.print(f"\n[bold]{escape(figures.name)}[/bold]")
     table = _table("", "median", "lowest and highest round")
     for name, medians in figures.times.values.items():
@@ -40,7 +42,7 @@ def print_figures(figures: Figures, out: TextIO) -> None:
 
 def print_compared(compared: Compared, out: TextIO) -> None:
     """Print what became of a scenario."""
-    console = Console(file=out, highlight=False, soft_wrap=True)
+    console = _console(out)
     console.print(f"\n[bold]{escape(compared.title)}[/bold]")
     table = _table(*HEAD)
     for change in compared.changes:
@@ -55,7 +57,7 @@ def print_compared(compared: Compared, out: TextIO) -> None:
 
 def print_floor(rounds: Rounds, out: TextIO) -> None:
     """Print how late a machine wakes an event loop that does nothing else."""
-    console = Console(file=out, highlight=False, soft_wrap=True)
+    console = _console(out)
     blocks = [each.blocks[0][FLOOR] for each in rounds.kept]
     summary = Summary.of([time for block in blocks for time in block])
     medians = [float(np.median(block)) for block in blocks]
@@ -103,8 +105,13 @@ def _cells(change: Change) -> tuple[str, str, str, str]:
     return change.what, change.before, change.now, change.by
 
 
+def _console(out: TextIO) -> Console:
+    return Console(file=out, highlight=False, soft_wrap=True, width=None if out.isatty() else WIDTH)
+
+
 def _table(first: str, *columns: str) -> Table:
     table = Table(first, *columns, box=None, pad_edge=False)
+    table.columns[0].overflow = "fold"
     for column in table.columns[1:4]:
         column.justify = "right"
     return table

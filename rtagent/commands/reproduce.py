@@ -20,7 +20,7 @@ from rtagent import clock, plugins
 from rtagent.commands.measuring import Measuring, in_words, processors
 from rtagent.errors import PluginError, SweepError
 from rtagent.experiments.experiment import Cell, Experiment, Options, Row, Verdict
-from rtagent.experiments.known import GROUP, chosen, experiment
+from rtagent.experiments.known import GROUP, chosen, experiment, in_order
 from rtagent.experiments.outcome import Outcome, carry_out
 from rtagent.experiments.report.machine import machine, versions
 from rtagent.experiments.report.page import About, page
@@ -131,20 +131,27 @@ def _tell_plan(console: Console, experiments: Sequence[Experiment], options: Opt
 def _list(console: Console, options: Options) -> int:
     table = Table("experiment", "what it is", "thesis", "--quick", "in full", box=None, pad_edge=False)
     table.columns[0].no_wrap = True
-    code = 0
+    found, code = list[Experiment](), 0
     for name in plugins.names(GROUP):
         try:
-            each = experiment(name)
-            times = [_needed(each, replace(options, quick=quick), processors()) for quick in (True, False)]
-        except Exception as error:  # one that is broken must not hide the others
-            sys.stderr.write(f"{name}: {error}\n")
+            found.append(experiment(name))
+        except PluginError as error:  # one that is broken must not hide the others
+            sys.stderr.write(f"{error}\n")
             code = 1
-        else:
-            on_demand = " (not part of all)" if each.on_demand else ""
-            table.add_row(name, f"{each.title}{on_demand}", each.thesis, *map(in_words, times))
+    for each in in_order(found):
+        times = [_told_need(each, replace(options, quick=quick)) for quick in (True, False)]
+        on_demand = " (not part of all)" if each.on_demand else ""
+        table.add_row(each.name, f"{each.title}{on_demand}", each.thesis, *times)
     console.print(table)
     console.print(f"\nTimes are for {processors()} processors. rtagent reproduce NAME, or all.")
     return code
+
+
+def _told_need(experiment: Experiment, options: Options) -> str:
+    try:
+        return in_words(_needed(experiment, options, processors()))
+    except Exception:  # why its cells cannot be listed is told when it is done
+        return "unknown"
 
 
 def _about(arguments: argparse.Namespace, took: float) -> About:

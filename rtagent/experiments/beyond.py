@@ -7,9 +7,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from rtagent.experience import FloatArray
-from rtagent.experiments import ring_finger
 from rtagent.experiments.grasping import ALPHA, TRAINED
 from rtagent.experiments.representations.signals import BENTO
+from rtagent.experiments.ring_finger import problem as ring_finger
 from rtagent.experiments.streams import Returns, named, returns
 from rtagent.specs import Spec
 
@@ -17,7 +17,7 @@ GRASPING, SORTING = "grasping", "sorting"
 STREAMS = (GRASPING, SORTING)
 UNITS = {GRASPING: "the sensor's range", SORTING: "the joint's range"}
 DIMENSIONS, SORTING_GAMMA, SORTING_LAMBDA, SORTING_ALPHA = 8, 0.9, 0.99, 0.2
-"""Of the sorting arm's prediction, as in section 4.3; α is what 8,000 prototypes have there, all active together."""
+"""Of the sorting arm's prediction, as in section 4.3; α is what 8,000 prototypes have there all together."""
 
 
 class Problem(NamedTuple):

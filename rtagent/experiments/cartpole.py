@@ -14,7 +14,7 @@ from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table
 from rtagent.experiments.scenarios import run_scenario
 from rtagent.experiments.statistics import above, all_of, below, interval, paired
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
@@ -34,7 +34,7 @@ Groups = Mapping[tuple[str, int], Returns]
 def cells(options: Options) -> Sequence[Cell]:
     """Return each schedule with each delay, all its trials together."""
     plan = {"seed": 1, "trials": TRIALS, "episodes": QUICK_EPISODES if options.quick else EPISODES}
-    return [{"schedule": name, "delay_ms": delay, **plan} for delay, name in product(DELAYS_MS, PRESETS)]
+    return [{"schedule": name, "delay_ms": delay, **plan} for delay, name in product(DELAYS_MS, FIXED)]
 
 
 def measure(cell: Cell) -> Row:
@@ -93,14 +93,14 @@ def _better(groups: Groups) -> Claim:
 
 def _table(groups: Groups) -> Table:
     head = ("schedule", *(f"{delay} ms" for delay in DELAYS_MS))
-    rows = tuple((name, *(str(interval(late(groups, name, delay))) for delay in DELAYS_MS)) for name in PRESETS)
+    rows = tuple((name, *(str(interval(late(groups, name, delay))) for delay in DELAYS_MS)) for name in FIXED)
     return Table("Steps balanced in the last fifth of the episodes, with 95 % intervals.", head, rows)
 
 
 def _draw(groups: Groups, canvas: Canvas) -> None:
     panels = canvas.subplots(1, len(DELAYS_MS), sharey=True)
     for axes, delay in zip(panels, DELAYS_MS, strict=True):
-        for number, name in enumerate(PRESETS):
+        for number, name in enumerate(FIXED):
             ends, mean, error = _curve(groups[name, delay])
             style.series(axes, number, ends, mean, name, low=mean - error, high=mean + error, markevery=3)
         axes.set_title(f"learning takes {delay} ms", fontsize="medium")

@@ -96,7 +96,7 @@ def of_times(comparison: Comparison, limit: float) -> Iterator[Change]:
     for name, ratio in comparison.ratios.items():
         verdict = Verdict.MACHINE if name == FLOOR else Verdict(ratio.verdict(limit))
         yield Change(name, describe(ratio.before), describe(ratio.after), ratio.said(), verdict, ratio)
-    for name, count in comparison.too_few.items():
+    for name, count in comparison.worth_telling().items():
         yield Change(name, "", "", f"only {count} in a round: run more episodes", Verdict.TOO_FEW)
 
 

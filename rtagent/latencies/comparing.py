@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -14,7 +14,7 @@ from rtagent.latencies.changes import Change, Compared, Verdict, of_exact, of_ti
 from rtagent.latencies.comparison import to_stored
 from rtagent.latencies.figures import Exact, Figures, is_real, some_reactions
 from rtagent.latencies.processes import Command, Worker, beside, scenario_command, workers
-from rtagent.latencies.rounds import Rules
+from rtagent.latencies.rounds import Rules, Tell
 
 STORED_LIMIT, BESIDE_LIMIT = 2.0, 1.1
 """Above it is a regression: where times were stored by another session, and where both sides took turns."""
@@ -68,7 +68,7 @@ def with_revision(
     figures: Figures,
     rules: Rules,
     limit: float = BESIDE_LIMIT,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Tell = lambda line: None,
 ) -> Compared:
     """Measure a scenario here and by the interpreter of another revision, in turns, and compare.
 
@@ -94,7 +94,7 @@ def _turns(
     after: tuple[str, Command],
     rules: Rules,
     limit: float,
-    tell: Callable[[str], None],
+    tell: Tell,
 ) -> tuple[list[Change], tuple[list[int], list[int]]]:
     try:
         comparison, rounds = beside(before, after, rules, tell=tell)

@@ -28,6 +28,7 @@ from rtagent.latencies.times import needed
 from rtagent.units import describe
 
 RESAMPLED = 2000
+TRIMMED = 5
 SEED = 0
 EXACT = "Exact: measured under the virtual clock."
 
@@ -118,9 +119,13 @@ class Comparison:
         """Return what was measured, a line each."""
         told = [f"{self.after}, to {self.before}: {self.sure}"]
         told += [f"  {ratio}" for ratio in self.ratios.values()]
-        if self.too_few:
-            told += [f"  too few to compare: {', '.join(f'{name} ({n})' for name, n in self.too_few.items())}"]
+        if few := self.worth_telling():
+            told += [f"  too few to compare: {', '.join(f'{name} ({n})' for name, n in few.items())}"]
         return told
+
+    def worth_telling(self) -> dict[str, int]:
+        """Return what had too few times, but for what never ran: reactions are what all is about."""
+        return {name: count for name, count in self.too_few.items() if count or name == "reaction"}
 
     def _others(self) -> Iterable[Ratio]:
         return (ratio for name, ratio in self.ratios.items() if name != "reaction")
@@ -220,13 +225,12 @@ def _comparison(
         for name, count in counts.items()
         if count >= least
     }
-    # a component that never ran is nothing to speak of; reactions are what all is about
-    too_few = {name: n for name, n in counts.items() if n < least and (n or name == "reaction")}
+    too_few = {name: count for name, count in counts.items() if count < least}
     return Comparison(*names, ratios, too_few, sure)
 
 
 def _ratio(name: str, before: Sequence[float], after: Sequence[float], confidence: float, *, paired: bool) -> Ratio:
-    """Return the ratio of geometric means over rounds, with its interval by drawing rounds (pairs of them) anew."""
+    """Return the ratio of trimmed geometric means, with its interval by drawing rounds (pairs of them) anew."""
     middles = float(np.median(before)), float(np.median(after))
     if not (all(before) and all(after)):  # some costs nothing, as under the virtual clock
         ratio = 1.0 if middles[0] == middles[1] else inf if middles[1] > middles[0] else 0.0
@@ -234,12 +238,18 @@ def _ratio(name: str, before: Sequence[float], after: Sequence[float], confidenc
     logs = [np.log(before), np.log(after)]
     drawn = _drawn(logs[1] - logs[0]) if paired else _drawn(logs[1]) - _drawn(logs[0], SEED + 1)
     low, high = np.quantile(drawn, ((1 - confidence) / 2, (1 + confidence) / 2))
-    ratio = float(np.exp(logs[1].mean() - logs[0].mean()))
-    return Ratio(name, ratio, float(np.exp(low)), float(np.exp(high)), *middles)
+    middle = _trimmed(logs[1] - logs[0]) if paired else _trimmed(logs[1]) - _trimmed(logs[0])
+    return Ratio(name, float(np.exp(middle)), float(np.exp(low)), float(np.exp(high)), *middles)
 
 
 def _drawn(values: FloatArray, seed: int = SEED) -> FloatArray:
-    """Return the means of samples of these values, shape (RESAMPLED,)."""
+    """Return the trimmed means of samples of these values, shape (RESAMPLED,)."""
     places = np.random.default_rng(seed).integers(len(values), size=(RESAMPLED, len(values)))
-    means: FloatArray = values[places].mean(axis=1)
+    return _trimmed(values[places])
+
+
+def _trimmed(values: FloatArray) -> FloatArray:
+    """Return the mean over the last axis without the fifth at either end: a round that was disturbed is there."""
+    count = values.shape[-1]
+    means: FloatArray = np.sort(values, axis=-1)[..., count // TRIMMED : count - count // TRIMMED].mean(axis=-1)
     return means

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +17,22 @@ from rtagent.latencies.counts import Counts
 from rtagent.latencies.rounds import Block, Measure, Rules, Tell, floor, interleaved, of_subject
 from rtagent.latencies.subject import Subject
 from rtagent.latencies.system_calls import system_calls
+from rtagent.result import Result
 from rtagent.scenario import load
+from rtagent.schedule import OBSERVE
 
 VIRTUAL = "run.clock=virtual"
-COUNTED_EPISODES = 2
-"""System calls are counted in a run of so many episodes, and in one of twice as many."""
+COUNTED_CYCLES = 2000
+"""System calls are counted over so many cycles or more: what happens now and then is none of a cycle's."""
 
 DRAWN = 1000
 """So many reaction times are kept, to draw."""
 
-COUNTED: Mapping[str, Callable[[Subject], Counts]] = {
-    "allocations": allocations,
-    "system calls": lambda subject: system_calls(subject, COUNTED_EPISODES),
+COUNTED: Mapping[str, Callable[[Subject, int], Counts]] = {
+    "allocations": lambda subject, episodes: allocations(subject),
+    "system calls": system_calls,
 }
-"""What is counted under the virtual clock, and how."""
+"""What is counted under the virtual clock, and how: in so many episodes."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +122,19 @@ def exact(subject: Subject) -> Exact:
     """Measure what a scenario has under the virtual clock."""
     try:
         virtual = subject.with_keys(VIRTUAL)
-        reactions = virtual.run().reaction_times
+        result = virtual.run()
     except RtagentError as error:
         return Exact(notes=(f"it does not run under the virtual clock, where counts are taken: {error}",))
     counts, notes = {}, []
     for what, count in COUNTED.items():
         try:
-            counts[what] = count(virtual)
+            counts[what] = count(virtual, _episodes(result))
         except RtagentError as error:
             notes.append(f"{what} were not counted: {error}")
-    return Exact(reactions, counts, tuple(notes))
+    return Exact(result.reaction_times, counts, tuple(notes))
+
+
+def _episodes(result: Result) -> int:
+    """Return how many episodes have enough cycles to count what happens in them."""
+    cycles = result.recorder.components[OBSERVE].count
+    return max(1, ceil(COUNTED_CYCLES * len(result.episodes) / max(1, cycles)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rtagent.errors import BaselineError
 from rtagent.latencies import worker
 from rtagent.latencies.comparison import Comparison, compared
 from rtagent.latencies.host import bound_to
-from rtagent.latencies.rounds import Block, Measure, Round, Rules, sifted, taken
+from rtagent.latencies.rounds import Block, Measure, Round, Rules, Tell, sifted, taken
 
 Command = Sequence[str]
 """What starts a worker."""
@@ -54,7 +55,7 @@ class Worker:
         except BrokenPipeError:
             answer = {}
         if "done" not in answer:
-            raise BaselineError(f"{self.name} cannot be measured: {answer.get('error', 'its process has ended')}")
+            raise BaselineError(f"{self.name} cannot be measured: {_why(answer)}")
         return answer["done"]
 
     def close(self) -> None:
@@ -69,9 +70,19 @@ class Worker:
             self._process.wait()
 
 
+def _why(answer: Mapping[str, str]) -> str:
+    error = answer.get("error", "its process has ended.")
+    lacks = answer.get("kind") in ("ImportError", "ModuleNotFoundError")
+    return f"it is older than `rtagent bench`, or lacks a package ({error})." if lacks else error
+
+
 def scenario_command(python: str | Path, scenario: str | Path, keys: Sequence[str]) -> Command:
     """Return what measures a scenario with the rtagent of an interpreter."""
     return [str(python), "-P", worker.__file__, str(scenario), *keys]
+
+
+def _told(tell: Tell, number: int, pairs: int, line: str) -> None:
+    tell(f"processes {number} of {pairs}: {line}")
 
 
 @contextmanager
@@ -92,7 +103,7 @@ def beside(
     after: tuple[str, Command],
     rules: Rules,
     pairs: int = PAIRS,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Tell = lambda line: None,
 ) -> tuple[Comparison, Sequence[Round]]:
     """Return how many times as long each thing takes `after`, and the rounds: processes of both take turns.
 
@@ -102,9 +113,9 @@ def beside(
     """
     rounds = list[Round]()
     for number in range(MOST * pairs):
-        tell(f"processes {number + 1} of {pairs}")
         with bound_to(rules.processor), workers(before, after) as both:
-            rounds += taken([each.measure for each in both], rules, -(-rules.rounds // pairs))
+            measures = [each.measure for each in both]
+            rounds += taken(measures, rules, -(-rules.rounds // pairs), partial(_told, tell, number + 1, pairs))
         if sum(each.lost <= rules.stolen for each in rounds) >= rules.rounds:
             break
     found = sifted(rounds, rules)

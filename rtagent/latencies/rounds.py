@@ -13,7 +13,7 @@ from rtagent.latencies.subject import Subject
 from rtagent.latencies.times import AGE, ages_of, learning_of, times_of
 from rtagent.latency import sleeps
 from rtagent.result import Result
-from rtagent.units import ms
+from rtagent.units import describe, ms
 
 LEAST_ROUNDS = 5
 """Fewer rounds have no interval to speak of."""
@@ -66,10 +66,14 @@ class Rules:
 
 @dataclass(frozen=True)
 class Round:
-    """What each measure gave, once, one after the other, and the part of the time (0 to 1) lost in the worst."""
+    """What each measure gave, once, one after the other.
+
+    `lost` is the part of the time (0 to 1) lost in the worst, `lasted` how long (ns) all took.
+    """
 
     blocks: Sequence[Block]
     lost: float
+    lasted: int = 0
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,8 @@ def taken(measures: Sequence[Measure], rules: Rules, rounds: int, tell: Tell = l
     found, all_rounds = list[Round](), rules.warm_up + rounds
     with bound_to(rules.processor) as processor:
         for number in range(-rules.warm_up, rounds):
-            tell(f"round {number + rules.warm_up + 1} of {all_rounds}")
             found.append(_round(measures, processor, backwards=number > 0 and number % 2 == 1))
+            tell(f"round {len(found)} of {all_rounds} took {describe(found[-1].lasted)}")
     return found[rules.warm_up :]
 
 
@@ -124,7 +128,8 @@ def _round(measures: Sequence[Measure], processor: int | None, *, backwards: boo
         with watched(processor, measures[number].schedstat) as disturbance:
             blocks[number] = measures[number].run()
         found.append(disturbance)
-    return Round([blocks[number] for number in range(len(measures))], max(each.share for each in found))
+    in_order = [blocks[number] for number in range(len(measures))]
+    return Round(in_order, max(each.share for each in found), sum(each.lasted for each in found))
 
 
 def once(measures: Sequence[Measure]) -> Rounds:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -18,6 +19,7 @@ Job = Callable[[], Any]
 
 def main() -> None:
     """Serve the scenario, with keys set over it, that is given as arguments."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks is interrupted too, and ends this
     scenario, *keys = sys.argv[1:]
     serve(jobs_of(lambda: _subject(scenario, keys)))
 

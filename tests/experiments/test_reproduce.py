@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from toys import CALLED, toy
 from rtagent import plugins
 from rtagent.__main__ import main
 from rtagent.experiments.experiment import Experiment, Options, Verdict
-from rtagent.experiments.known import chosen
+from rtagent.experiments.known import chosen, in_order
 from rtagent.experiments.outcome import carry_out
 from rtagent.experiments.report.page import About, page
 
@@ -128,10 +129,36 @@ def test_the_list_tells_the_time_beforehand(
     assert "10 s" in listed["alone"]
 
 
+def test_an_experiment_whose_cells_fail_or_that_is_none_hides_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+    def broken(options: Options) -> list[dict[str, int]]:
+        raise OSError("no recording")
+
+    known(toy("unlistable", cells=broken))
+    plugins._registered["experiments", "nonsense"] = dict
+    assert main(["reproduce"]) == 1
+    told = capsys.readouterr()
+    assert "'nonsense' of experiments is no Experiment" in told.err
+    assert {line.split()[0] for line in told.out.splitlines() if "Section 0" in line} == {"unlistable", "works"}
+    assert "unknown" in told.out
+
+
+def test_experiments_stand_in_the_order_of_the_thesis() -> None:
+    sections = [
+        "Section 3.4.1",
+        "Experiment 2 (3.4.2), figure 3.5",
+        "sections 4.3 and 4.4",
+        "Chapter 5",
+        "Section 10.1",
+        "none",
+    ]
+    shuffled = [replace(toy(thesis), thesis=thesis) for thesis in sections[::-1]]
+    assert [each.thesis for each in in_order(shuffled)] == sections
+
+
 def test_all_leaves_out_what_is_on_demand_and_a_name_does_not() -> None:
     known(toy("demanded", on_demand=True))
     assert [each.name for each in chosen(["all"])] == ["works"]
-    assert [each.name for each in chosen(["demanded", "all"])] == ["demanded", "works"]
+    assert [each.name for each in chosen(["demanded", "all"])] == ["works", "demanded"]
     assert [each.name for each in chosen(["demanded", "demanded"])] == ["demanded"]
 
 

@@ -110,7 +110,7 @@ def schedule_of(conditions: Iterable[str], given: Schedule) -> Schedule:
     if len(rules) > 1:
         raise ScheduleError(f"{', '.join(sorted(presets))} learn by different rules: give each a trial of its own.")
     learn = given.learn if given.name in presets else rules.pop()
-    return replace(given, order=STANDARD, name=" and ".join(sorted(presets)), learn=learn)
+    return replace(given, order=STANDARD, ordering=None, name=" and ".join(sorted(presets)), learn=learn)
 
 
 def order_of(condition: str) -> Order:

@@ -10,9 +10,9 @@ import numpy as np
 from rtagent.experiments import style
 from rtagent.experiments.egg.conditions import CONTROL, NAMES, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.people import Group, Times, rate
-from rtagent.experiments.egg.variants import MAIN, PRACTISED, SPEEDS, alone, at_speed
+from rtagent.experiments.egg.variants import EACH, MAIN, PRACTISED, SPEEDS, alone, at_speed
 from rtagent.experiments.experiment import Figure
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +32,7 @@ def figures(groups: Mapping[str, Group]) -> list[Figure]:
     drawn = []
     if MAIN in groups:
         drawn += [failed_stops(groups), event_times(groups[MAIN])]
-    presets = [preset for preset in PRESETS if alone(preset) in groups]
+    presets = [preset for preset in FIXED if alone(preset) in groups]
     return [*drawn, schedules({preset: groups[alone(preset)] for preset in presets})] if presets else drawn
 
 
@@ -90,7 +90,7 @@ def schedules(groups: Mapping[str, Group]) -> Figure:
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.subplots()
-        found = [rate(group, preset) for preset, group in groups.items()]
+        found = [rate(group, preset, EACH) for preset, group in groups.items()]
         middles = np.array([PERCENT * each.middle for each in found])
         ends = np.abs(np.array([[PERCENT * each.low, PERCENT * each.high] for each in found]).T - middles)
         axes.errorbar(range(len(found)), middles, yerr=ends, fmt="ks", capsize=4)
@@ -100,8 +100,8 @@ def schedules(groups: Mapping[str, Group]) -> Figure:
 
     people = min(len(group.people) for group in groups.values())
     caption = (
-        f"Failed stops of {people} modelled people where one schedule has all episodes (practice is "
-        "counted too). Bars: 95 % intervals over people."
+        f"Failed stops of {people} modelled people where one schedule has all episodes, practice left out: "
+        f"the last {EACH} of each. Bars: 95 % intervals over people."
     )
     return Figure("egg-schedules", caption, draw)
 

@@ -10,10 +10,10 @@ from rtagent.experiments.egg.claims import claims
 from rtagent.experiments.egg.conditions import CONTROL, REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.figures import figures
 from rtagent.experiments.egg.people import Group, grouped, percent, rate, times_as_many
-from rtagent.experiments.egg.variants import MAIN, PRACTISED, alone
+from rtagent.experiments.egg.variants import EACH, MAIN, PRACTISED, alone
 from rtagent.experiments.experiment import Cell, Findings, Options, Row, Table
 from rtagent.experiments.statistics import interval
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 from rtagent.units import degree
 
 CONDITIONS = (CONTROL, SARSA, REACTIVE_SARSA)
@@ -27,8 +27,8 @@ def find(pairs: Sequence[tuple[Cell, Row]], options: Options) -> Findings:
     """Find the claims, figures and tables of all trials."""
     groups = grouped(pairs)
     told = claims(groups[MAIN]) if MAIN in groups else []
-    presets = {preset: groups[alone(preset)] for preset in PRESETS if alone(preset) in groups}
-    mixed = {name: group for name, group in groups.items() if name not in map(alone, PRESETS)}
+    presets = {preset: groups[alone(preset)] for preset in FIXED if alone(preset) in groups}
+    mixed = {name: group for name, group in groups.items() if name not in map(alone, FIXED)}
     return Findings(tuple(told), tuple(figures(groups)), (_of_variants(mixed), _of_presets(presets)), NOTES)
 
 
@@ -50,11 +50,20 @@ def _failed(group: Group) -> list[str]:
 def _of_presets(groups: Mapping[str, Group]) -> Table:
     """Return failed stops, and how close whole eggs were come to, where one schedule has all episodes."""
     rows = tuple(
-        (preset, str(len(group.people)), percent(rate(group, preset)), _gap(group, preset), _short(group, preset))
+        (
+            preset,
+            str(len(group.people)),
+            percent(rate(group, preset, EACH)),
+            _gap(group, preset),
+            _short(group, preset),
+        )
         for preset, group in groups.items()
     )
     head = ("schedule", "people", "failed (%)", "press to action (ms)", "distance from whole eggs (°)")
-    return Table("One schedule in all episodes, to which people adapt; 95 % intervals over people.", head, rows)
+    caption = (
+        f"One schedule in all episodes, to which people adapt: failed stops of the last {EACH}; 95 % intervals."
+    )
+    return Table(caption, head, rows)
 
 
 def _gap(group: Group, condition: str) -> str:

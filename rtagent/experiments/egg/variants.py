@@ -12,7 +12,7 @@ from typing import Any
 from rtagent.experiments.egg.conditions import REACTIVE_SARSA, SARSA
 from rtagent.experiments.egg.trial import scheduled
 from rtagent.experiments.experiment import Cell, Options
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED, PRESETS
 
 MAIN = "as stated"
 SPEEDS = (50, 100, 150, 200)
@@ -68,7 +68,7 @@ VARIANTS: Mapping[str, Variant] = {
     "people do not adapt": _people(adaptation=0.0, lag=TRAINED_LAG),
     "people adapt twice as fast": _people(adaptation=0.4),
     "people react": _people(strategy="reacting"),
-    **{alone(preset): Variant(scheduled(preset), (preset,)) for preset in PRESETS},
+    **{alone(preset): Variant(scheduled(preset), (preset,)) for preset in FIXED},
 }
 
 

@@ -147,7 +147,7 @@ def _figures(groups: Groups) -> tuple[Figure, ...]:
         ),
         Figure(
             "synchronous",
-            f"Hallway-World waits for each action: what an episode costs. The curves lie on one another. {run}",
+            f"Hallway-World waits for each action: what an episode costs. {run}",
             partial(_curves, groups, [(SYNCHRONOUS, 0)]),
         ),
     )

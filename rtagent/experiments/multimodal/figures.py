@@ -115,4 +115,4 @@ def _draw_effects(canvas: Canvas, errors: Errors) -> None:
     axes.set_xlim(-0.5, 2.5)
     axes.set_xlabel("finger")
     axes.set_ylabel("Cohen's d (standard deviations)")
-    axes.legend(loc="lower right", ncols=2)
+    canvas.legend(loc="outside lower center", ncols=2)

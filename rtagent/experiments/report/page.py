@@ -113,19 +113,13 @@ def _failed(failed: Failed) -> str:
 
 
 def _claims(claims: Sequence[Claim]) -> str:
-    rows = [
-        [
-            escape(claim.said),
-            escape(claim.theirs),
-            escape(claim.ours),
-            _verdict(claim.verdict),
-            escape(claim.because),
-        ]
-        for claim in claims
-    ]
-    because = any(claim.because for claim in claims)
-    head = ["the claim", "the thesis", "here", "verdict", *["why"] * because]
-    return _table("", head, [row if because else row[:-1] for row in rows])
+    rows = [[escape(claim.said), escape(claim.theirs), _ours(claim), _verdict(claim.verdict)] for claim in claims]
+    return _table("", ["the claim", "the thesis", "here", "verdict"], rows)
+
+
+def _ours(claim: Claim) -> str:
+    because = f'<p class="faint">{escape(claim.because)}</p>' if claim.because else ""
+    return escape(claim.ours) + because
 
 
 def _verdict(verdict: Verdict) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,9 @@ import numpy as np
 from rtagent.experience import FloatArray
 from rtagent.experiments.experiment import Cell, Row
 from rtagent.experiments.statistics import Interval, compared
+
+LEAST = 1e-9
+"""A spread that is none."""
 
 
 class Setting(NamedTuple):
@@ -56,15 +60,13 @@ def ratio(ours: FloatArray, others: FloatArray) -> Interval:
 
 
 def spread_ratio(ours: FloatArray, others: FloatArray) -> Interval:
-    """Return how many times the standard deviation over seeds, by the mean, is that of others, and its interval."""
-    return compared(ours.tolist(), others.tolist(), _times, _spread)
+    """Return how many times the standard deviation over seeds, by the mean, is that of others, and its interval.
+
+    It is reckoned in logarithms: samples of few seeds may have hardly any spread.
+    """
+    found = compared(ours.tolist(), others.tolist(), lambda one, other: log(one / other), _spread)
+    return Interval(*(exp(end) for end in (found.low, found.middle, found.high)))
 
 
 def _spread(errors: FloatArray) -> np.float64:
-    found: np.float64 = errors.std(ddof=1) / errors.mean()
-    return found
-
-
-def _times(one: float, other: float) -> float:
-    """Return a ratio; of few seeds, a sample may have one of them again and again, and no spread."""
-    return one / other if other else np.inf
+    return np.float64(max(errors.std(ddof=1) / errors.mean(), LEAST))

@@ -27,7 +27,7 @@ FINGER = FINGERS["ring"]
 READINGS = {f"α = {ALPHA:g} of each weight": False, f"α = {ALPHA:g} / c": True}
 """How the step size is read, and whether it is divided by the number c of active features."""
 DIVIDED = list(READINGS)[1]
-SEEDS, QUICK_SEEDS = 40, 4
+SEEDS, QUICK_SEEDS = 40, 6
 QUICKLY = 10
 """Of the stream's 750 rows a second, in haste every so manieth is taken; γ, λ and traces are for the same time."""
 MODELS = ("Learned is the simulated grasping experiment of chapter 5: see there (multimodal) what it models.",)
