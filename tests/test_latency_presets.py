@@ -18,7 +18,7 @@ from rtagent import ms, us
 from rtagent.latencies import Subject
 from rtagent.latencies.allocations import allocations
 from rtagent.latencies.fixture import Latency
-from rtagent.schedule import PRESETS
+from rtagent.schedule import FIXED
 
 STOPPING = str(SCENARIOS / "stopping.toml")
 KEPT = Path(__file__).with_name("allocations.json")
@@ -47,13 +47,13 @@ def short(preset: str) -> tuple[str, ...]:
     return (*keys(preset), "schedule.learn_delay=100us", "devices.joint.onset=['20ms', '30ms']")
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", FIXED)
 def test_a_preset_keeps_its_promise(preset: str, rtagent_latency: Latency) -> None:
     measured = rtagent_latency.run(STOPPING, *keys(preset), "costs.act=1ms", "costs.choose=2ms")
     measured.assert_at_most(LEARNING[preset] + COSTS, least=4)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", FIXED)
 def test_a_slowdown_of_a_component_breaks_it(preset: str, rtagent_latency: Latency) -> None:
     slow = ("costs.act=1ms", f"costs.choose={2 * ms + LEARNING[preset] + COSTS}ns")
     measured = rtagent_latency.run(STOPPING, *keys(preset), *slow)
@@ -62,7 +62,7 @@ def test_a_slowdown_of_a_component_breaks_it(preset: str, rtagent_latency: Laten
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", FIXED)
 def test_no_function_allocates_more_than_it_did(preset: str, rtagent_latency: Latency) -> None:
     kept = json.loads(KEPT.read_text())
     counts = rtagent_latency.allocations(STOPPING, *short(preset))
@@ -73,7 +73,7 @@ def test_no_function_allocates_more_than_it_did(preset: str, rtagent_latency: La
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", FIXED)
 def test_no_system_call_is_made_but_those_known(preset: str, rtagent_latency: Latency) -> None:
     known = {"getpid": 1.0} if preset == "background" else {}  # asyncio asks when it makes a future
     rtagent_latency.system_calls(STOPPING, *short(preset), episodes=2).assert_no_more_than(known)
@@ -82,7 +82,7 @@ def test_no_system_call_is_made_but_those_known(preset: str, rtagent_latency: La
 def keep() -> None:
     """Count anew."""
     found: dict[str, Any] = {"python": PYTHON}
-    for preset in PRESETS:
+    for preset in FIXED:
         found[preset] = allocations(Subject.scenario(STOPPING, *short(preset))).per_cycle
     KEPT.write_text(json.dumps(found, indent=1) + "\n")
 
