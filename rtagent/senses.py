@@ -32,7 +32,8 @@ class Senses:
         """Whether a cycle always waits for its time, or for a sample that comes by itself."""
         self.synchronous = any(device.device.spec.synchronous for device in devices)
         """Whether something is new only after an act."""
-        self.as_of_now = any(device.as_of_now and not device.device.spec.synchronous for device in devices)
+        specs = [device.device.spec for device in devices]
+        self.as_of_now = any(not spec.rate and not spec.synchronous for spec in specs)
         """Whether an observation tells more once time has passed, without a sample that comes by itself."""
         self._may_be_stale = [device for device in devices if device.supervision.stale_after]
 

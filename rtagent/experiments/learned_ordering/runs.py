@@ -31,19 +31,21 @@ class World(NamedTuple):
     """A scenario: how long it runs, which sensor says since when it is urgent, and when a demon foretells it.
 
     `length` is in seconds of one long episode, or in episodes, as `per` says. `urgent` is a sensor of its one
-    device and the value above which it is so; `foretold` is a demon and such a value.
+    device and the value above which it is so; `foretold` is a demon and such a value. `takes` is how long a unit of
+    its length takes to compute, in s: with a list, and with an order that is decided on.
     """
 
     length: int
     per: str
     urgent: tuple[str, float]
     foretold: tuple[str, float]
+    takes: tuple[float, float]
 
 
 WORLDS = {
-    "phases": World(900, "second", ("busy", 0.5), ("traffic γ=0.4/s", 1.0)),
-    "phases_rewired": World(900, "second", ("busy", 0.5), ("traffic γ=0.4/s", 1.0)),
-    "phases_stopping": World(300, "episode", ("position", 2.09), ("emergency γ=0.4/s", 0.1)),
+    "phases": World(840, "second", ("busy", 0.5), ("traffic γ=0.4/s", 1.0), (0.0017, 0.008)),
+    "phases_rewired": World(840, "second", ("busy", 0.5), ("traffic γ=0.4/s", 1.0), (0.0045, 0.015)),
+    "phases_stopping": World(300, "episode", ("position", 2.09), ("emergency γ=0.4/s", 0.1), (0.0055, 0.017)),
 }
 QUICK = 3
 """Quick runs are shorter by this factor."""
@@ -66,8 +68,8 @@ def cells(options: Options) -> Sequence[Cell]:
 
 def seconds(cell: Cell) -> float:
     """Estimate how long a cell takes: the more decisions, the longer."""
-    simulated = cell["length"] * (1 if WORLDS[cell["world"]].per == "second" else 3)
-    return float(simulated * (0.01 if cell["schedule"] in (LEARNED, RANDOM) else 0.003))
+    listed, decided = WORLDS[cell["world"]].takes
+    return float(cell["length"] * (decided if cell["schedule"] in (LEARNED, RANDOM) else listed))
 
 
 def measure(cell: Cell) -> Row:
