@@ -9,7 +9,7 @@ from math import inf, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import integrate, optimize, stats
 
@@ -111,6 +111,7 @@ def test_a_way_is_that_of_its_speeds_whenever_one_asks(
 
 
 @given(PRESSING, st.integers(0, 6000))
+@example([(0, 1.0), (788, 0.5)], 985)
 @settings(max_examples=30)
 def test_nothing_turns_true_before_the_next_change(told: Sequence[tuple[int, float | None]], time: int) -> None:
     joint = world(Participant(spread=30 * ms))

@@ -10,6 +10,8 @@ from rtagent.units import second
 from rtagent_drivers.dynamixel.steps import Body, Step, Turn
 
 FREE = Body()
+ROUNDED = 4
+"""By less than so much (ns) rounding may move a time."""
 
 
 class Way:
@@ -51,8 +53,13 @@ class Way:
             elapsed = step.leaves(position, 1.0)
             when = None if elapsed is None else start + ceil(elapsed * second)
             if when is not None and (place + 1 == len(self._starts) or when <= self._starts[place + 1]):
-                return when
+                return self._first_near(when, position)
         return None
+
+    def _first_near(self, when: int, position: float) -> int:
+        """Return the first time (ns) about `when` at which `at` finds it there: both are rounded."""
+        nearby = range(when - ROUNDED, when + ROUNDED)
+        return next((time for time in nearby if self.at(time)[0] >= position), when)
 
     def settles(self) -> int:
         """Return when (ns) it has the newest speed that it was told."""
