@@ -19,6 +19,8 @@ from rtagent_drivers import adapter
 from rtagent_drivers.dynamixel import faults, probe, scan
 from rtagent_drivers.dynamixel.packets import Write
 
+pytestmark = pytest.mark.slow
+
 BAUDS, IDS = [1_000_000], range(1, 7)
 
 

@@ -18,6 +18,8 @@ from rtagent.__main__ import main
 from rtagent_drivers.dynamixel.packets import Instruction, Request
 from rtagent_drivers.dynamixel.protocol1 import PROTOCOL1
 
+pytestmark = pytest.mark.slow
+
 PING = PROTOCOL1.request(Request(1, Instruction.PING))
 PONG = bytes.fromhex("FF FF 01 02 00 FC")
 EMULATE = [sys.executable, "-m", "rtagent", "emulate"]

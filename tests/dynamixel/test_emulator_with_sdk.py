@@ -13,6 +13,8 @@ from wire import EmulatedArm
 from rtagent_drivers.dynamixel.emulated.robots import ROBOTS
 from rtagent_drivers.dynamixel.models import MODELS
 
+pytestmark = pytest.mark.slow
+
 IDS = range(1, 6)
 OK = (sdk.COMM_SUCCESS, 0)
 MIDDLE = 2048

@@ -14,6 +14,8 @@ from rtagent_drivers.dynamixel import last_resort
 from rtagent_drivers.dynamixel.driver import Dynamixel
 from rtagent_drivers.dynamixel.last_resort import open_spare
 
+pytestmark = pytest.mark.slow
+
 HEAVY = ("asyncio", "numpy", "pydantic", "serial")
 
 
