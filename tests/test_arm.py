@@ -123,6 +123,7 @@ def test_further_joints_have_names_of_their_own() -> None:
     assert names == ["shoulder", "elbow", "wrist_rotation", "wrist_flexion", "hand", "joint_6", "joint_7"]
 
 
+@pytest.mark.slow
 def test_a_recording_of_it_is_written_by_a_command(tmp_path: Path) -> None:
     path = tmp_path / "arm.csv.gz"
     command = [sys.executable, "-m", "rtagent_drivers.arm", str(path), "--duration", "2s", "--joints", "2"]

@@ -97,6 +97,7 @@ def test_the_next_arrival_is_not_later_than_in_a_slow_simulation(
         assert now < arrivals.next_arrival(now) <= plan.next_arrival(now)
 
 
+@pytest.mark.slow
 @given(streams())
 @settings(max_examples=60)
 def test_following_the_arrivals_one_by_one_meets_them_all(stream: tuple[Arrivals, Plan, float]) -> None:

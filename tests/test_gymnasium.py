@@ -121,6 +121,7 @@ LIMITS = {"cartpole": (12, 80), "mountain_car": (2, 1200), "acrobot": (2, 650)}
 """Episodes, and their most steps: so that some are terminated and some truncated."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", LIMITS)
 def test_what_takes_no_time_learns_what_a_plain_loop_does_bit_for_bit(scenario: str) -> None:
     episodes, limit = LIMITS[scenario]

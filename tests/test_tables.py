@@ -37,6 +37,7 @@ def some_tables(draw: st.DrawFn) -> Table:
     return Table(times, sessions, {name: column(number) for name in draw(st.sets(st.sampled_from("abxyz")))})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mine.csv", "mine.csv.gz", "mine.npz"])
 @given(table=some_tables())
 def test_what_is_written_is_read_again_exactly(

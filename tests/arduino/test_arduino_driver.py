@@ -159,6 +159,7 @@ async def test_the_older_sketch_of_the_hand_is_read(legacy_hand: Board) -> None:
     await check_older_sketch(legacy_hand, "handi", "FSR5")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["glovi", "glovi_binary"])
 async def test_the_older_sketches_of_the_glove_are_read(name: str, tmp_path: Path) -> None:
     with Board(tmp_path, "glovi", "--format", name, "--rate", "300Hz") as board:
@@ -211,6 +212,7 @@ async def test_an_older_sketch_is_known_by_what_it_says(legacy_hand: Board) -> N
     assert "speaks the format 'handi', not 'glovi': set format = \"handi\", or upload its sketch" in said
 
 
+@pytest.mark.slow
 async def test_a_board_that_says_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rtagent_drivers.arduino.opening.PATIENCE", 200 * ms)
     with Board(tmp_path, "glovi", "--fault", '{"kind": "silent"}') as board:

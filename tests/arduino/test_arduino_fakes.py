@@ -115,6 +115,7 @@ def test_hand_and_glove_are_observed_together_by_their_newest_samples() -> None:
     assert len(assembly.devices) >= 2
 
 
+@pytest.mark.slow
 def test_hand_and_glove_are_observed_together_on_the_wire() -> None:
     path = SCENARIOS / "grasp_recording.toml"
     assembly = assemble(load(path, ["run.fake=wire", "run.episode_time=500ms"]))

@@ -161,6 +161,7 @@ async def test_wheels_and_torque_let_go_when_they_are_made_safe(mini_bento: Emul
     assert not state["hand"]["torque"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stop", "torque"), [("hold", True), ("release", False)])
 async def test_made_safe_it_holds_or_lets_go(arm: EmulatedArm, stop: Any, torque: bool) -> None:
     async with opened(driver(arm, "velocity", stop=stop)) as device:
@@ -178,6 +179,7 @@ async def test_made_safe_it_holds_or_lets_go(arm: EmulatedArm, stop: Any, torque
             pass
 
 
+@pytest.mark.slow
 async def test_home_is_gone_to_before_it_lets_go(mini_bento: EmulatedArm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver_module, "START_SPEED", 4.0)
     arm = mini_bento

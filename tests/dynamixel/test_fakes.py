@@ -109,6 +109,7 @@ def test_both_levels_obey_alike() -> None:
         assert first[2][name] == pytest.approx(second[2][name], abs=0.05), name
 
 
+@pytest.mark.slow
 def test_an_episode_begins_at_the_start_pose(level: str) -> None:
     async def begun(device: Device) -> Sample:
         await device.open()
@@ -165,6 +166,7 @@ def test_faults_of_a_fake_in_the_process_are_those_of_every_fake() -> None:
         run("process", opened())
 
 
+@pytest.mark.slow
 def test_faults_on_the_wire_reach_the_driver() -> None:
     fake = FakeSettings(wire=('{"kind": "silent", "servo": 2}',))
     with pytest.raises(DeviceError, match=r"no answer from elbow \(id 2\)"):
@@ -216,6 +218,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow
 def test_the_bus_outlives_its_owner_for_a_while_only() -> None:
     owner = subprocess.run([sys.executable, "-c", OWNER], capture_output=True, text=True, check=False)
     port = Path(owner.stdout.strip())

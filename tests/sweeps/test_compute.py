@@ -59,6 +59,7 @@ def test_another_function_version_or_cell_has_another_key(monkeypatch: pytest.Mo
     assert len({*keys, key_of(squared, {"a": 1, "b": 2})}) == 4
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(cut=st.integers(0, 10_000))
 def test_wherever_the_file_is_cut_off_the_rest_is_measured_again(
