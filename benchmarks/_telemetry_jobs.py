@@ -35,6 +35,8 @@ from rtagent.telemetry.wishes import pace_of
 
 SCENARIO = Path(__file__).parent / "_telemetry.toml"
 ENDPOINT = "tcp/127.0.0.1:7457"
+ANOTHERS = "another's"
+"""The variant without telemetry of its own, beside as much traffic of another program, and who listens to it."""
 WARM_UP = 500
 """So many first cycles of a block are left out: the sender and its router start meanwhile."""
 
@@ -49,6 +51,23 @@ print("ready", flush=True)
 for sample in subscriber:
     pass
 """
+
+TRAFFIC = """
+import sys, time, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
+session = zenoh.open(config)
+records = [(session.declare_publisher(f"rtagent/another/{n}"), bytes(1500 if n == 0 else 200)) for n in range(7)]
+print("ready", flush=True)
+when = time.monotonic()
+while True:
+    when += 0.002
+    time.sleep(max(0, when - time.monotonic()))
+    for publisher, data in records:
+        publisher.put(data)
+"""
+"""As many bytes and messages as those of a run at 500 Hz."""
 
 COUNTER = """
 import asyncio, contextlib, json, sys
@@ -148,7 +167,10 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
     assembly, watch, latch = assemble(scenario), Stopwatch(), Latch()
     with contextlib.ExitStack() as stack:
         link = None
-        if variant != "off":
+        if variant == ANOTHERS:
+            stack.enter_context(subscriber(variant))
+            stack.enter_context(program(TRAFFIC))
+        elif variant != "off":
             if variant in ("watched", "stopped", "killed"):
                 stack.enter_context(subscriber(variant))
             record = folder / f"{variant}-{number}.mcap"
@@ -194,16 +216,24 @@ def subscriber(variant: str) -> Iterator[None]:
     endpoint = Access(endpoint=ENDPOINT)
     from rtagent.telemetry.connection import open_client
 
-    with open_client(endpoint):  # so that there is a router
-        process = subprocess.Popen([sys.executable, "-c", SUBSCRIBER, ENDPOINT], stdout=subprocess.PIPE)
-        assert process.stdout is not None
-        process.stdout.readline()
-    if variant == "stopped":
-        process.send_signal(signal.SIGSTOP)
-    if variant == "killed":
-        process.kill()
-    try:
+    with contextlib.ExitStack() as stack:
+        with open_client(endpoint):  # so that there is a router
+            process = stack.enter_context(program(SUBSCRIBER))
+        if variant == "stopped":
+            process.send_signal(signal.SIGSTOP)
+        if variant == "killed":
+            process.kill()
         yield
+
+
+@contextlib.contextmanager
+def program(text: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a program that says when it is ready, and kill it in the end."""
+    process = subprocess.Popen([sys.executable, "-c", text, ENDPOINT], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    try:
+        yield process
     finally:
         process.kill()
         process.wait()
