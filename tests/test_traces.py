@@ -258,7 +258,13 @@ def test_an_update_in_slices_returns_its_delta() -> None:
 
 @pytest.mark.parametrize(
     ("rows", "size", "active", "form"),
-    [(1, 8000, 200, LazyTraces), (4, 250, 8, LazyTraces), (1, 5, 2, DenseTraces), (4, 5000, 1, DenseTraces)],
+    [
+        (1, 8000, 200, LazyTraces),
+        (4, 250, 8, LazyTraces),
+        (1, 5, 2, DenseTraces),
+        (4, 4999, 1, DenseTraces),
+        (4, 5000, 1, LazyTraces),
+    ],
 )
 def test_the_compiled_form_is_taken_where_it_is_worth_it(rows: int, size: int, active: int, form: type) -> None:
     assert isinstance(make_traces(rows, size, 0.0, active), form)
@@ -267,15 +273,15 @@ def test_the_compiled_form_is_taken_where_it_is_worth_it(rows: int, size: int, a
         assert isinstance(make_traces(rows, size, 0.0, active), DenseTraces)
 
 
-def test_a_tabular_learner_never_imports_the_compiler() -> None:
+def test_a_table_that_is_not_large_never_imports_the_compiler() -> None:
     program = """
 import sys
 from helpers import step
 from rtagent.learning import Sarsa
-learner = Sarsa(size=100_000, actions=2, active=1)
+learner = Sarsa(size=9_999, actions=2, active=1)
 learner.update(step(0, 0, 1.0, 1, 1))
 assert "numba" not in sys.modules
-Sarsa(size=100_000, actions=2, active=2)
+Sarsa(size=10_000, actions=2, active=1)
 assert "numba" in sys.modules
 """
     subprocess.run([sys.executable, "-c", program], cwd=ROOT / "tests", check=True)

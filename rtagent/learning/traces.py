@@ -102,11 +102,11 @@ class Traces(Protocol):
 
 def worth_compiling(rows: int, size: int, active: int) -> bool:
     """Whether what is learned is large enough for kernels."""
-    return rows * size >= (WORTH_COMPILING if active > 1 else LARGE_TABLE)
+    return active > 0 and rows * size >= (WORTH_COMPILING if active > 1 else LARGE_TABLE)
 
 
 def make_traces(rows: int, size: int, initial: float, active: int) -> Traces:
-    """Return the form that is quicker for so many weights and active features (of a table: 1, the dense form)."""
+    """Return the form that is quicker for so many weights and active features (of a table: 1)."""
     check_count("size", size)
     check_count("actions", rows)
     linear = kernels.load("linear") if worth_compiling(rows, size, active) else None
