@@ -29,12 +29,13 @@ from rtagent.recorder import EpisodeRecord, Recorder
 from rtagent.saving import Saveable, Saved, save_fields
 from rtagent.schedule import ACT, CHOOSE, LEARN, OBSERVE, ORDER, WAIT, Component, Order, Schedule, prologue
 from rtagent.senses import Senses
+from rtagent.situation import Present
 from rtagent.streams import restored_stream, save_stream
 from rtagent.supervision import SupervisedDevice
 from rtagent.task import Task
 from rtagent.urgency import Outlook, Urgency
 
-EPISODE = ("_changed", "_latest", "_last_step", "urgency")
+EPISODE = ("_changed", "_latest", "_last_step")
 """What is saved of an episode as it is."""
 
 
@@ -133,6 +134,7 @@ class Runtime:
             on_thread=habits.place_learner,
             once=schedule.ordering is not None,
         )
+        self._situation = Present(agent, self._senses, self.work, clock.now)
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
         self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
         if self._idling:
@@ -146,64 +148,6 @@ class Runtime:
         self._outlook = Outlook(ordering.urgency, self._task, self._agent, self._senses)
         self._never = asyncio.get_running_loop().create_future()
         self._components |= {LEARN: self._learn, ORDER: self._order, WAIT: self._wait}
-
-    # What a chooser can ask (schedule.Situation)
-
-    @property
-    def time(self) -> int:
-        """Now, in ns."""
-        return self._now()
-
-    @property
-    def observed_at(self) -> int:
-        """When the newest observation was made, in ns."""
-        return self._newest()
-
-    @property
-    def queue_length(self) -> int:
-        """How many transitions wait to be learned."""
-        return self.work.length
-
-    @property
-    def action_pending(self) -> bool:
-        """Whether an action was chosen that was not yet handed to the devices."""
-        return self._agent.action_pending
-
-    # What one that learns asks too (orderer.Surroundings)
-
-    @property
-    def reward(self) -> float:
-        """The task's reward of the episode so far."""
-        return self._episode.total_reward
-
-    @property
-    def has_observed(self) -> bool:
-        """Whether the episode has had an observation."""
-        return self._agent.newest_features is not None
-
-    @property
-    def fresh(self) -> bool:
-        """Whether there is an observation newer than the last choice."""
-        return self._agent.fresh
-
-    @property
-    def change(self) -> bool:
-        """Whether that observation differs, in its features, from the one that was chosen from last."""
-        return self._agent.sees_change
-
-    @property
-    def news(self) -> bool:
-        """Whether a sample waits that is newer than the newest observation."""
-        self._senses.watch()
-        return self._senses.news()
-
-    @property
-    def observable(self) -> bool:
-        """Whether an observation would tell anything newer without waiting for it."""
-        senses, acted = self._senses, self._agent.step_is_open
-        if (senses.synchronous and acted) or (senses.as_of_now and (acted or self._now() > self._newest())):
-            return True
-        return self.news
 
     # The main path
 
@@ -227,7 +171,7 @@ class Runtime:
             else:  # learning has left off after a round of the loop
                 self.work.called = False
             self._mark = self._now()
-            for component in chooser.cycle(self):
+            for component in chooser.cycle(self._situation):
                 await self._components[component]()
                 if self._over:
                     break
@@ -256,9 +200,9 @@ class Runtime:
         self._last_step = (self._limits.episode_steps or NEVER) - 1
         if self._idling:
             self._idling.begin(now)
-        self.urgency: tuple[float, ...] = ()
+        self._situation.episode = self._episode
         if self.orderer is not None:
-            self.urgency = (0.0,) * len(self.orderer.ordering.urgency)
+            self._situation.urgency = (0.0,) * len(self.orderer.ordering.urgency)
             self.orderer.begin(now)
         self._pacer: Pacer | None = None
         self._hooks.call("episode_began", trial, episode, now)
@@ -266,7 +210,7 @@ class Runtime:
     async def _end(self) -> None:
         """Learn what is left; a truncated episode still wants SARSA's A', which is chosen and not acted on."""
         if self.orderer is not None:
-            self.orderer.end(self, terminated=not self._episode.truncated)
+            self.orderer.end(self._situation, terminated=not self._episode.truncated)
         if self._agent.awaits_next_action:
             await self._choose()
         await self.work.learn()
@@ -306,7 +250,7 @@ class Runtime:
         if self._agent.observe(outcome, now) is not None:
             self._episode.steps += 1
         if self.orderer is not None:
-            self.urgency = self._outlook()
+            self._situation.urgency = self._outlook()
         if stimuli:
             self._reactions.observed(stimuli, now)
         if self._costs:
@@ -397,7 +341,7 @@ class Runtime:
 
     def restore(self, saved: Saved) -> None:
         """Take what `save` returned; the newest episode of the recorder is the last one, or goes on."""
-        self._episode = self._recorder.episodes[-1]
+        self._episode = self._situation.episode = self._recorder.episodes[-1]
         self._costs_rng = restored_stream(saved["costs"])
         self.work.restore(saved["work"])
         if self.orderer is not None and saved.get("ordering") is not None:
@@ -414,6 +358,7 @@ class Runtime:
                 "(docs/checkpoints.md), or keep checkpoints at the ends of episodes only."
             )
         return save_fields(self, EPISODE) | {
+            "urgency": list(self._situation.urgency),
             "task": self._task.save(),
             "idling": self._idling.save() if self._idling else None,
             "pacer": self._pacer.save() if self._pacer else None,
@@ -423,8 +368,8 @@ class Runtime:
     def restore_episode(self, saved: Saved) -> None:
         """Take what `save_episode` returned."""
         self._over = False
-        self._changed, self._latest, self._last_step, urgency = (saved[name] for name in EPISODE)
-        self.urgency = tuple(urgency)
+        self._changed, self._latest, self._last_step = (saved[name] for name in EPISODE)
+        self._situation.urgency = tuple(saved["urgency"])
         self._task.restore(saved["task"])  # type: ignore[attr-defined]  # what could be saved can be restored
         self._reactions.restore(saved["reactions"], self._episode.reactions)
         if self._idling is not None:

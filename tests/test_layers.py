@@ -25,7 +25,7 @@ LAYERS = [
     },
     {
         "agent", "backlog", "checkpoint", "urgency", "guard", "supervision", "senses", "idling", "runtime",
-        "orderer", "result", "keeping", "lifecycle", "shutdown", "protection",
+        "orderer", "situation", "result", "keeping", "lifecycle", "shutdown", "protection",
     },
 ]  # fmt: skip
 EDGES = len(LAYERS)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rtagent.clock import RealClock
-from rtagent.experiments.beyond import GRASPING, SORTING, STREAMS, UNITS, Problem, problem
+from rtagent.experiments import beyond
+from rtagent.experiments.beyond import STREAMS, UNITS, Problem, problem
 from rtagent.experiments.chunks import follow_chunks
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table, Verdict
-from rtagent.experiments.grasping import ETA
 from rtagent.experiments.statistics import Interval, above, all_of, below, compared, interval
 from rtagent.experiments.streams import part_error
 from rtagent.experiments.style import series
@@ -28,8 +27,6 @@ SPACINGS = {ADAPTIVE: 0.01, FARTHER: 0.05}
 """How close to another one a prototype may come: about the noise of a signal; and as it was tried first."""
 SIZES, QUICK_SIZES = (250, 500, 1000, 2000, 4000, 8000), (250, 1000, 4000)
 SEEDS, QUICK_SEEDS = 10, 5
-EVERY, QUICK_EVERY = 5, 25
-"""Of the grasping stream every so manieth row is taken, with γ, λ and α for as many in one."""
 FIRST_PART = 0.5
 """All prototypes can have moved within this part of what is learned before the test."""
 
@@ -37,17 +34,12 @@ FIRST_PART = 0.5
 def cells(options: Options) -> list[Cell]:
     """Return a cell for each stream, number of prototypes, and seed of these."""
     sizes, seeds = (QUICK_SIZES, QUICK_SEEDS) if options.quick else (SIZES, SEEDS)
-    every = {GRASPING: QUICK_EVERY if options.quick else EVERY, SORTING: 1}
-    return [
-        {"stream": stream, "every": every[stream], "prototypes": size, "eta": ETA, "seed": seed}
-        for stream, size, seed in product(STREAMS, sizes, range(seeds))
-    ]
+    return beyond.cells(sizes, seeds, options)
 
 
 def seconds(cell: Cell) -> float:
     """Estimate how long a cell takes."""
-    rows = 35_000 if cell["stream"] == SORTING else 884_000 / cell["every"]
-    return float(0.5 + rows * (20e-6 + 6e-9 * cell["prototypes"]))
+    return float(0.5 + beyond.rows_of(cell) * (20e-6 + 6e-9 * cell["prototypes"]))
 
 
 def measure(cell: Cell) -> Row:
@@ -195,8 +187,7 @@ EXPERIMENT = Experiment(
     find=find,
     seconds=seconds,
     models=(
-        "The streams are one of the simulated grasping experiment (docs/grasping.md), and one of the simulated "
-        "sorting arm (docs/sorting.md); seeds are those of prototypes.",
+        beyond.MODELLED,
         "When prototypes move is after Ratitch and Precup (2004), not theirs in all: here as many as ever are "
         "active, and the least visited one goes.",
     ),

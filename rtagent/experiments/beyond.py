@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 from rtagent.experience import FloatArray
-from rtagent.experiments.grasping import ALPHA, TRAINED
+from rtagent.experiments.experiment import Cell, Options
+from rtagent.experiments.grasping import ALPHA, ETA, TRAINED
 from rtagent.experiments.representations.signals import BENTO
 from rtagent.experiments.ring_finger import problem as ring_finger
 from rtagent.experiments.streams import Returns, named, returns
@@ -18,6 +20,28 @@ STREAMS = (GRASPING, SORTING)
 UNITS = {GRASPING: "the sensor's range", SORTING: "the joint's range"}
 DIMENSIONS, SORTING_GAMMA, SORTING_LAMBDA, SORTING_ALPHA = 8, 0.9, 0.99, 0.2
 """Of the sorting arm's prediction, as in section 4.3; α is what 8,000 prototypes have there all together."""
+EVERY, QUICK_EVERY = 5, 25
+"""Of the grasping stream every so manieth row is taken, with γ, λ and α for as many in one."""
+ROWS = {GRASPING: 884_000, SORTING: 35_000}
+"""About so many rows they have, to tell times beforehand."""
+MODELLED = (
+    "The streams are one of the simulated grasping experiment (docs/grasping.md), and one of the simulated "
+    "sorting arm (docs/sorting.md); seeds are those of prototypes."
+)
+
+
+def cells(sizes: Sequence[int], seeds: int, options: Options) -> list[Cell]:
+    """Return a cell for each stream, number of prototypes, and seed of these."""
+    every = {GRASPING: QUICK_EVERY if options.quick else EVERY, SORTING: 1}
+    return [
+        {"stream": stream, "every": every[stream], "prototypes": size, "eta": ETA, "seed": seed}
+        for stream, size, seed in product(STREAMS, sizes, range(seeds))
+    ]
+
+
+def rows_of(cell: Cell) -> float:
+    """Return about how many rows a cell learns from."""
+    return float(ROWS[cell["stream"]] / cell["every"])
 
 
 class Problem(NamedTuple):

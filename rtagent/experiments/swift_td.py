@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtagent.experiments.beyond import GRASPING, SORTING, STREAMS, UNITS, Problem, problem
+from rtagent.experiments import beyond
+from rtagent.experiments.beyond import STREAMS, UNITS, Problem, problem
 from rtagent.experiments.chunks import Follows, follow_chunks
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Table
-from rtagent.experiments.grasping import ETA
 from rtagent.experiments.statistics import Interval, below, interval
 from rtagent.experiments.streams import part_error
 from rtagent.experiments.style import boxes
@@ -29,8 +29,6 @@ FIRST_ALPHAS, META_STEP_SIZES, BOUND = (0.01, 0.1, 0.3), (1e-3, 1e-2, 1e-1), 0.5
 """Those that SwiftTD begins with, the step sizes of their logarithms, and the bound on its rate of learning."""
 PROTOTYPES, QUICK_PROTOTYPES = 8000, 2000
 SEEDS, QUICK_SEEDS = 20, 5
-EVERY, QUICK_EVERY = 5, 25
-"""Of the grasping stream every so manieth row is taken, with γ and λ for as many in one."""
 CHOSEN_FROM = 0.75
 """Settings are chosen by the errors before the test, from this part of that time on."""
 
@@ -38,17 +36,12 @@ CHOSEN_FROM = 0.75
 def cells(options: Options) -> list[Cell]:
     """Return a cell for each stream and seed of prototypes."""
     size, seeds = (QUICK_PROTOTYPES, QUICK_SEEDS) if options.quick else (PROTOTYPES, SEEDS)
-    every = {GRASPING: QUICK_EVERY if options.quick else EVERY, SORTING: 1}
-    return [
-        {"stream": stream, "every": every[stream], "prototypes": size, "eta": ETA, "seed": seed}
-        for stream, seed in product(STREAMS, range(seeds))
-    ]
+    return beyond.cells((size,), seeds, options)
 
 
 def seconds(cell: Cell) -> float:
     """Estimate how long a cell takes."""
-    rows = 35_000 if cell["stream"] == SORTING else 884_000 / cell["every"]
-    return float(0.5 + rows * (8e-6 + 6e-9 * cell["prototypes"]))
+    return float(0.5 + beyond.rows_of(cell) * (8e-6 + 6e-9 * cell["prototypes"]))
 
 
 def measure(cell: Cell) -> Row:
@@ -178,8 +171,5 @@ EXPERIMENT = Experiment(
     measure=measure,
     find=find,
     seconds=seconds,
-    models=(
-        "The streams are one of the simulated grasping experiment (docs/grasping.md), and one of the simulated "
-        "sorting arm (docs/sorting.md); seeds are those of prototypes.",
-    ),
+    models=(beyond.MODELLED,),
 )

@@ -166,7 +166,7 @@ def test_findings_are_made_of_what_is_there() -> None:
     only = [pair for pair in pairs_of() if pair[0]["variant"] == alone("standard")]
     found = find(only, Options())
     assert not found.claims
-    assert [figure.name for figure in found.figures] == ["egg-schedules"]
+    assert [figure.name for figure in found.figures] == ["schedules"]
     assert find([], Options()).figures == ()
 
 

@@ -58,7 +58,7 @@ def failed_stops(groups: Mapping[str, Group]) -> Figure:
         f"Failed stops of modelled people ({people}): 10 episodes of control, then 20 each of both algorithms, "
         "shuffled. Bands: 95 % intervals over people."
     )
-    return Figure("egg-failed-stops", caption, draw)
+    return Figure("failed-stops", caption, draw)
 
 
 def event_times(group: Group) -> Figure:
@@ -71,7 +71,7 @@ def event_times(group: Group) -> Figure:
         f"When {len(group.people)} modelled people pressed, and when the agent acted. Time runs from where the "
         "arm would have begun, had it had its full speed at once. Boxes: quartiles, median; whiskers: all."
     )
-    return Figure("egg-event-times", caption, draw)
+    return Figure("event-times", caption, draw)
 
 
 def draw_events(axes: Axes, events: Mapping[str, tuple[Times, Times]]) -> None:
@@ -103,7 +103,7 @@ def schedules(groups: Mapping[str, Group]) -> Figure:
         f"Failed stops of {people} modelled people where one schedule has all episodes, practice left out: "
         f"the last {EACH} of each. Bars: 95 % intervals over people."
     )
-    return Figure("egg-schedules", caption, draw)
+    return Figure("schedules", caption, draw)
 
 
 def _events(group: Group, condition: str) -> tuple[Times, Times]:
