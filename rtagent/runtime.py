@@ -179,6 +179,7 @@ class Runtime:
                 self._tell()
             if self.orderer is not None:
                 await self.work.relieve()  # how much may wait is not for it to decide
+                await yield_once()  # what it watches begins to be waited for before the next cycle is
             if calm is not None:
                 calm()
         await self._end()

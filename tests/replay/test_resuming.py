@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from keeping import KeepsAll, all_of, learned, plain, run_scenario
 from parts import run_stopping, sarsa_agent
@@ -103,7 +103,12 @@ def test_the_rest_of_a_run_is_the_same_to_the_byte_wherever_it_was_kept(
     check_resumed(*run, tmp_path_factory.mktemp("kept"))
 
 
+WATCHED_LATE = ["schedule.preset=learned", "run.seed=12", "schedule.period=20ms", "schedule.learn_delay=11ms"]
+"""A sample is waited for from the end of a cycle on, and arrives when the next one begins."""
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@example(run=("stopping_horde", [*HORDE, *WATCHED_LATE], 0.0))
 @given(run=runs())
 def test_so_it_is_with_many_more_runs(
     run: tuple[str, list[str], float], tmp_path_factory: pytest.TempPathFactory
