@@ -88,7 +88,7 @@ def session(part: str, amount: int, stolen: float) -> Comparison | None:
     """Compare an agent with one of which a part does more; return nothing where that is undecided."""
     rules = Rules(rounds=BESIDE_ROUNDS, stolen=stolen)
     try:
-        return beside(("main", command(part, 0)), ("mine", command(part, amount)), rules)[0]
+        return beside(("main", command(part, 0)), ("mine", command(part, amount)), rules, BESIDE_LIMIT)[0]
     except UndecidedError:
         return None
 

@@ -200,7 +200,7 @@ for number, line in enumerate(sys.stdin):
 def test_each_side_is_measured_by_several_processes_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SHARE, 0.0)
     sides = [(name, worker(FAKE.replace("TIME", time))) for name, time in (("main", "10000"), ("mine", "12000"))]
-    comparison, rounds = beside(sides[0], sides[1], Rules(rounds=6, stolen=1.0), pairs=2)
+    comparison, rounds = beside(sides[0], sides[1], Rules(rounds=6, stolen=1.0), 1.1, pairs=2)
     assert comparison["reaction"].ratio == pytest.approx(1.2, abs=0.001)
     assert [each.blocks[0]["reaction"][0] for each in rounds] == [10_001, 10_002, 10_003] * 2
     assert comparison["reaction"].verdict(1.1) is Kept.SLOWER
@@ -211,8 +211,21 @@ def test_rounds_that_others_disturbed_are_measured_anew(monkeypatch: pytest.Monk
     lost = itertools.chain([0.5] * warm_up_and_two_rounds, itertools.repeat(0.0))
     monkeypatch.setattr(SHARE, property(lambda _: next(lost)))
     sides = [(name, worker(FAKE.replace("TIME", "10000"))) for name in ("main", "mine")]
-    _, rounds = beside(sides[0], sides[1], Rules(rounds=6), pairs=2)
+    _, rounds = beside(sides[0], sides[1], Rules(rounds=6), 1.1, pairs=2)
     assert len(rounds) == 1 + 3 + 3, "two pairs left four of six"
+
+
+@pytest.mark.parametrize(
+    ("odd", "even", "pairs"), [("12000", "10500", 4), ("12500", "11500", 2), ("10500", "9600", 2)]
+)
+def test_what_looks_slower_and_is_not_surely_so_is_measured_on(
+    monkeypatch: pytest.MonkeyPatch, odd: str, even: str, pairs: int
+) -> None:
+    monkeypatch.setattr(SHARE, 0.0)
+    mine = FAKE.replace("TIME", f"({odd} if number % 2 else {even})")
+    sides = [("main", worker(FAKE.replace("TIME", "10000"))), ("mine", worker(mine))]
+    _, rounds = beside(sides[0], sides[1], Rules(rounds=6, stolen=1.0), 1.1, pairs=2)
+    assert len(rounds) == 3 * pairs
 
 
 def test_a_revision_that_is_none_is_told(tmp_path: Path) -> None:

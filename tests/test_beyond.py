@@ -72,14 +72,14 @@ def test_prototypes_with_which_learning_diverges_are_told() -> None:
 TRUE, SWIFT = swift_td.TRUE_ONLINE, swift_td.SWIFT
 
 
-def learners(test: dict[str, float], before: dict[str, float], diverged: str = "") -> Findings:
+def learners(test: dict[str, float], before: dict[str, float], *diverged: str) -> Findings:
     """Find in rows with these errors of each learner and setting, in the test and before."""
     pairs: list[tuple[Cell, Row]] = []
     for stream in STREAMS:
         for seed in range(SEEDS):
             factor = 1.0 + 0.02 * np.random.default_rng(seed).normal()
             errors = {
-                key: None if key == diverged and seed == 3 else {"test": each * factor, "chosen by": before[key]}
+                key: None if key in diverged and seed == 3 else {"test": each * factor, "chosen by": before[key]}
                 for key, each in test.items()
             }
             cell = {"stream": stream, "prototypes": 9, "seed": seed, "eta": 0.1}
@@ -105,6 +105,14 @@ def test_settings_that_diverged_for_a_seed_are_not_chosen() -> None:
     findings = learners(keys((0.1, 0.1), (0.1, 0.1)), before, f"{TRUE}, α 1")
     assert "true online TD(λ), α 2" in claim(findings, "grasping").ours
     assert any("diverged, 1 seeds" in row for row in findings.tables[0].rows)
+
+
+def test_a_learner_that_diverges_with_every_setting_is_told_and_errs_more() -> None:
+    before, errs = keys((0.1, 0.2), (0.3, 0.2)), keys((0.2, 0.1), (0.1, 0.1))
+    for learner, verdict in ((SWIFT, Verdict.NOT_REPRODUCED), (TRUE, Verdict.REPRODUCED)):
+        lost = [key for key in errs if key.startswith(learner)]
+        found = claim(learners(errs, before, *lost), "grasping")
+        assert (found.ours, found.verdict) == (f"{learner} diverged with every setting", verdict)
 
 
 @pytest.mark.parametrize("experiment", [adaptive_prototypes.EXPERIMENT, swift_td.EXPERIMENT])

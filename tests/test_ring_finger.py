@@ -12,7 +12,9 @@ import pytest
 from rtagent.experiments import eta, prototype_sets, several_eta, statistics
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Findings, Options, Row, Verdict
 from rtagent.experiments.ring_finger import problem as learned
+from rtagent.experiments.ring_finger.measuring import measure
 from rtagent.experiments.ring_finger.problem import DIVIDED, READINGS, cell_of, error_of, problem, time_of
+from rtagent.sweeps.store import key_of
 
 TRIALS = 8
 EXPERIMENTS = (eta.EXPERIMENT, prototype_sets.EXPERIMENT, several_eta.EXPERIMENT)
@@ -71,7 +73,7 @@ def test_a_step_of_more_prototypes_takes_longer_in_plain_numpy() -> None:
 
 
 def test_distances_are_those_to_the_nearest_prototype() -> None:
-    row = eta.measure({"kind": "distance", "dimensions": 2, "prototypes": 50, "seeds": [3]})
+    row = measure({"kind": "distance", "dimensions": 2, "prototypes": 50, "seeds": [3]})
     rng = np.random.default_rng(3)
     placed, points = rng.random((50, 2)), rng.random((200, 2))
     nearest = np.linalg.norm(points[:, None] - placed[None], axis=2).min(axis=1)
@@ -87,6 +89,12 @@ def test_in_full_there_are_forty_seeds_on_every_row_and_cells_are_plain_data(exp
     assert json.loads(json.dumps(cells)) == cells
     assert all(experiment.seconds(cell) > 0 for cell in cells)
     assert len(experiment.cells(Options(quick=True))) < len(cells) / 5
+
+
+def test_the_three_have_their_errors_with_one_set_and_one_eta_in_common() -> None:
+    sweep, sets, several = ({key_of(each.measure, cell) for cell in each.cells(Options())} for each in EXPERIMENTS)
+    assert len(sweep & sets & several) == len(eta.ETAS) * 40
+    assert len(sweep & several) == len(several_eta.SIZES) * len(eta.ETAS) * 40
 
 
 def test_no_cell_has_an_eta_that_leaves_nothing_active() -> None:

@@ -25,6 +25,7 @@ from rtagent.experiments.outcome import Outcome, carry_out
 from rtagent.experiments.report.machine import machine, versions
 from rtagent.experiments.report.page import About, page
 from rtagent.sweeps.compute import compute
+from rtagent.sweeps.store import key_of
 from rtagent.sweeps.workers import connected
 
 COLORS = {
@@ -97,7 +98,7 @@ def _carried_out(experiment: Experiment, options: Options, out: Path, jobs: int,
                 return compute(
                     experiment.measure,
                     cells,
-                    store=out / "cells" / f"{experiment.name}.cells",
+                    store=_store(experiment, out),
                     jobs=1 if experiment.alone else jobs,
                     cluster=None if experiment.alone else cluster,
                     finished=measuring.finished,
@@ -112,15 +113,23 @@ def _carried_out(experiment: Experiment, options: Options, out: Path, jobs: int,
     return replace(outcome, seconds=measured)
 
 
-def _needed(experiment: Experiment, options: Options, jobs: int) -> float:
-    """Return how long (s) an experiment will take, by its own estimate."""
-    work = sum(map(experiment.seconds, experiment.cells(options)))
-    return work if experiment.alone else work / jobs
+def _store(experiment: Experiment, out: Path) -> Path:
+    """Return where measurements are kept: with those of other experiments that measure by the same function."""
+    return out / "cells" / f"{experiment.measure.__module__}.cells"
+
+
+def _needed(experiments: Sequence[Experiment], options: Options, jobs: int) -> float:
+    """Return how long (s) experiments will take, where what they have in common is measured once."""
+    needed: dict[str, float] = {}
+    for each in experiments:
+        for cell in each.cells(options):
+            needed[key_of(each.measure, cell)] = each.seconds(cell) / (1 if each.alone else jobs)
+    return sum(needed.values())
 
 
 def _tell_plan(console: Console, experiments: Sequence[Experiment], options: Options, jobs: int) -> None:
     try:
-        needed = sum(_needed(experiment, options, jobs) for experiment in experiments)
+        needed = _needed(experiments, options, jobs)
     except Exception:  # an experiment whose cells fail is told when its turn comes
         return
     console.print(
@@ -149,7 +158,7 @@ def _list(console: Console, options: Options) -> int:
 
 def _told_need(experiment: Experiment, options: Options) -> str:
     try:
-        return in_words(_needed(experiment, options, processors()))
+        return in_words(_needed([experiment], options, processors()))
     except Exception:  # why its cells cannot be listed is told when it is done
         return "unknown"
 

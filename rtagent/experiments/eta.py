@@ -13,6 +13,7 @@ from rtagent.experiments import style
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row
 from rtagent.experiments.ring_finger.errors import Errors, best, errors_of, ratio, spread_ratio
 from rtagent.experiments.ring_finger.figure import error_figure
+from rtagent.experiments.ring_finger.measuring import POINTS, measure
 from rtagent.experiments.ring_finger.problem import (
     MODELS,
     QUICK_SEEDS,
@@ -20,9 +21,7 @@ from rtagent.experiments.ring_finger.problem import (
     READINGS,
     SEEDS,
     cell_of,
-    error_of,
     seconds,
-    time_of,
 )
 from rtagent.experiments.statistics import Interval, above, all_of, below, interval
 
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 SIZES = (250, 500, 1000, 2000, 4000, 8000, 12_000)
 ETAS = (0.0025, 0.005, 0.01, 0.025, 0.05, 0.075, 0.1)
 QUICK_SIZES, QUICK_ETAS = (250, 1000, 8000, 12_000), (0.005, 0.025, 0.1)
-DIMENSIONS, DISTANCE_SEEDS, POINTS = (1, 2, 4, 8), 50, 200
+DIMENSIONS, DISTANCE_SEEDS = (1, 2, 4, 8), 50
 """Of figure 6.2: the thesis's own."""
 IN_TIME = 0.0013
 """Seconds: what a step of 750 a second may take (thesis, section 6.1)."""
@@ -57,25 +56,6 @@ def cells(options: Options) -> list[Cell]:
         for dimensions, size in product(DIMENSIONS, sizes)
     ]
     return [*errors, *times, *distances]
-
-
-def measure(cell: Cell) -> Row:
-    """Measure a cell."""
-    return {"error": error_of, "time": time_of, "distance": distance_of}[cell["kind"]](cell)
-
-
-def distance_of(cell: Cell) -> Row:
-    """Return the distances from random points of the unit cube to their nearest prototypes, a list a seed."""
-    return {"distances": [_nearest(cell["dimensions"], cell["prototypes"], seed) for seed in cell["seeds"]]}
-
-
-def _nearest(dimensions: int, prototypes: int, seed: int) -> list[float]:
-    rng = np.random.default_rng(seed)
-    placed, points = rng.random((prototypes, dimensions)), rng.random((POINTS, dimensions))
-    products = points @ placed.T
-    squares = (points**2).sum(axis=1)[:, None] + (placed**2).sum(axis=1) - 2.0 * products
-    nearest: list[float] = np.sqrt(np.maximum(squares.min(axis=1), 0.0)).tolist()
-    return nearest
 
 
 def find(pairs: Sequence[Pair], options: Options) -> Findings:

@@ -14,6 +14,7 @@ from rtagent.experiments.eta import ETAS
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Verdict
 from rtagent.experiments.ring_finger.errors import Errors, Setting, best, errors_of, ratio, spread_ratio
 from rtagent.experiments.ring_finger.figure import error_figure
+from rtagent.experiments.ring_finger.measuring import measure
 from rtagent.experiments.ring_finger.problem import (
     MODELS,
     QUICK_SEEDS,
@@ -21,9 +22,7 @@ from rtagent.experiments.ring_finger.problem import (
     READINGS,
     SEEDS,
     cell_of,
-    error_of,
     seconds,
-    time_of,
 )
 from rtagent.experiments.statistics import Interval, above, all_of, compared, interval, within
 
@@ -57,11 +56,6 @@ def cells(options: Options) -> list[Cell]:
         for (size, number), plain, seed in product(timed, (True, False), range(TIMES))
     ]
     return [*errors, *times]
-
-
-def measure(cell: Cell) -> Row:
-    """Measure a cell."""
-    return {"error": error_of, "time": time_of}[cell["kind"]](cell)
 
 
 def find(pairs: Sequence[Pair], options: Options) -> Findings:

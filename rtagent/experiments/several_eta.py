@@ -13,6 +13,7 @@ from rtagent.experiments import style
 from rtagent.experiments.eta import ETAS
 from rtagent.experiments.experiment import Cell, Claim, Experiment, Figure, Findings, Options, Row, Verdict
 from rtagent.experiments.ring_finger.errors import Errors, Setting, best, errors_of, ratio, spread_ratio
+from rtagent.experiments.ring_finger.measuring import measure
 from rtagent.experiments.ring_finger.problem import (
     MODELS,
     QUICK_SEEDS,
@@ -20,7 +21,6 @@ from rtagent.experiments.ring_finger.problem import (
     READINGS,
     SEEDS,
     cell_of,
-    error_of,
     seconds,
 )
 from rtagent.experiments.statistics import Interval, above, below, within
@@ -49,11 +49,6 @@ def cells(options: Options) -> list[Cell]:
     several = [*((4000, pair) for pair in PAIRS), *((500, each) for each in SIXTEENS)]
     settings = [*((size, (eta,)) for size, eta in product(SIZES, etas)), *several]
     return [cell_of(size, own, seed, every) for (size, own), seed in product(settings, range(seeds))]
-
-
-def measure(cell: Cell) -> Row:
-    """Measure a cell."""
-    return error_of(cell)
 
 
 def find(pairs: Sequence[Pair], options: Options) -> Findings:

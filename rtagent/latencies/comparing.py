@@ -97,7 +97,7 @@ def _turns(
     tell: Tell,
 ) -> tuple[list[Change], tuple[list[int], list[int]]]:
     try:
-        comparison, rounds = beside(before, after, rules, tell=tell)
+        comparison, rounds = beside(before, after, rules, limit, tell=tell)
     except UndecidedError as error:
         return [Change("times", "", "", str(error), Verdict.UNSURE)], ([], [])
     then, now = (some_reactions([each.blocks[side] for each in rounds]) for side in range(2))

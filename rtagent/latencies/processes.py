@@ -12,7 +12,7 @@ from typing import Any
 
 from rtagent.errors import BaselineError
 from rtagent.latencies import worker
-from rtagent.latencies.comparison import Comparison, compared
+from rtagent.latencies.comparison import Comparison, Verdict, compared
 from rtagent.latencies.host import bound_to
 from rtagent.latencies.rounds import Block, Measure, Round, Rules, Tell, sifted, taken
 
@@ -102,21 +102,30 @@ def beside(
     before: tuple[str, Command],
     after: tuple[str, Command],
     rules: Rules,
+    limit: float,
     pairs: int = PAIRS,
     tell: Tell = lambda line: None,
 ) -> tuple[Comparison, Sequence[Round]]:
     """Return how many times as long each thing takes `after`, and the rounds: processes of both take turns.
 
-    Each of `pairs` pairs of processes measures its part of the rounds, and further pairs do in place of rounds in
-    which others had the processor. Raises `UndecidedError` where the machine was
-    too busy, `BaselineError` where a side cannot be measured.
+    Each of `pairs` pairs of processes measures its part of the rounds. As many again may follow: in place of rounds
+    in which others had the processor, and while something looks slower than `limit` times and is not surely so.
+    Raises `UndecidedError` where the machine was too busy, `BaselineError` where a side cannot be measured.
     """
-    rounds = list[Round]()
+    rounds, names = list[Round](), (before[0], after[0])
     for number in range(MOST * pairs):
         with bound_to(rules.processor), workers(before, after) as both:
             measures = [each.measure for each in both]
             rounds += taken(measures, rules, -(-rules.rounds // pairs), partial(_told, tell, number + 1, pairs))
-        if sum(each.lost <= rules.stolen for each in rounds) >= rules.rounds:
+        if _suffice(names, rounds, rules, limit):
             break
     found = sifted(rounds, rules)
-    return compared(before[0], after[0], found, rules), found.kept
+    return compared(*names, found, rules), found.kept
+
+
+def _suffice(names: tuple[str, str], rounds: Sequence[Round], rules: Rules, limit: float) -> bool:
+    """Say whether enough rounds count, and all of them together tell what is slower."""
+    if sum(each.lost <= rules.stolen for each in rounds) < rules.rounds:
+        return False
+    ratios = compared(*names, sifted(rounds, rules), rules).ratios.values()
+    return not any(ratio.verdict(limit) is Verdict.UNSURE for ratio in ratios)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -67,7 +68,11 @@ def each(measure: Measure, cells: Sequence[tuple[int, Cell]], jobs: int, cluster
 
 @cache
 def _watch(parent: int) -> None:
-    """End this process when its parent has ended, however: a sweep that was killed leaves nobody behind."""
+    """End this process when its parent has ended, however: a sweep that was killed leaves nobody behind.
+
+    Of a Ctrl-C, which all of them are sent, the parent makes an end.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def wait() -> None:
         while os.getppid() == parent:

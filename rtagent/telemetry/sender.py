@@ -134,18 +134,20 @@ class Sender:
             message = self._ring.read()
             if message is None:
                 return sent > 0
-            for record in self._unpack(message, self._lull.heard):
-                self._emit(record)
+            self._emit(*self._unpack(message, self._lull.heard))
             if self._unpack.run_changed:
                 self._emit(self._run())
         return True
 
-    def _emit(self, record: Record) -> None:
-        stream, data = STREAM_OF[type(record)], self._encode(record)
-        if self._recorder is not None:
-            self._recorder.add(stream, record.sequence, self._epoch + record.time_ns, data)
+    def _emit(self, *made: Record) -> None:
+        """Publish and record; Zenoh is given all at once, so that router and listeners wake but once for them."""
+        encoded = [(STREAM_OF[type(record)], record, self._encode(record)) for record in made]
         if self._publisher is not None:
-            self._publisher.put(stream, data)
+            for stream, _, data in encoded:
+                self._publisher.put(stream, data)
+        if self._recorder is not None:
+            for stream, record, data in encoded:
+                self._recorder.add(stream, record.sequence, self._epoch + record.time_ns, data)
 
     def _look(self) -> None:
         """Do what is due: take commands, tell counts."""

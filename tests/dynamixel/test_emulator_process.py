@@ -82,7 +82,7 @@ def busy(pid: int) -> float:
 
 def test_its_log_says_what_happened_when_and_where_the_joint_was(arm: EmulatedArm, tmp_path: Path) -> None:
     before = time.monotonic_ns()
-    asked(arm.port, bytes.fromhex("FF FF 01 05 03 1E 00 08 D0"))  # goal position 2048
+    assert asked(arm.port, bytes.fromhex("FF FF 01 05 03 1E 00 08 D0")) == PONG  # goal position 2048
     after = time.monotonic_ns()
     arm.fault("silent", 2)
     told = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]

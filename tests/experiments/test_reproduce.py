@@ -102,6 +102,15 @@ def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
     assert CALLED == [1, 2, 3, 4, 5]
 
 
+def test_what_two_experiments_have_in_common_is_measured_and_planned_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known(toy("other", cells=lambda options: [{"seed": seed} for seed in range(4, 8)]))
+    reproduced(tmp_path, "all")
+    assert sorted(CALLED) == [1, 2, 3, 4, 5, 6, 7]
+    assert "about 14 s" in capsys.readouterr().out
+
+
 def test_an_experiment_that_fails_is_told_and_takes_no_other_with_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,7 @@ from rtagent.__main__ import main
 from rtagent.errors import SweepError
 from rtagent.sweeps.compute import compute
 from rtagent.sweeps.store import Store
+from rtagent.sweeps.workers import connected
 
 pytest.importorskip("distributed")
 
@@ -60,7 +61,10 @@ def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", *nowhere)
     with ExitStack() as stack:
         stack.enter_context(process(*scheduler))
-        yield address, [stack.enter_context(process(*worker)) for _ in range(workers)]
+        started = [stack.enter_context(process(*worker)) for _ in range(workers)]
+        with connected(address) as client:
+            client.wait_for_workers(workers, timeout=60)
+        yield address, started
 
 
 @pytest.mark.slow
