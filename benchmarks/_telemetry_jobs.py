@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtagent import clock
 from rtagent.clock import RealClock
 from rtagent.errors import RtagentError
 from rtagent.instruments import Hooks
 from rtagent.latch import Latch
+from rtagent.realtime import manners
 from rtagent.scenario import assemble, load
 from rtagent.telemetry.connection import Access
 from rtagent.telemetry.describing import about_run
@@ -35,6 +35,9 @@ from rtagent.telemetry.wishes import pace_of
 
 SCENARIO = Path(__file__).parent / "_telemetry.toml"
 ENDPOINT = "tcp/127.0.0.1:7457"
+PRIORITY = 50
+"""Of the variants whose names end with `PRIORITIZED`: the loop's, as a scenario asks for it."""
+PRIORITIZED = ", with a priority"
 ANOTHERS = "another's"
 """The variant without telemetry of its own, beside as much traffic of another program, and who listens to it."""
 WARM_UP = 500
@@ -163,8 +166,11 @@ class Stopwatch:
 
 def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
     """Run the agent for some seconds, with its telemetry as the variant says."""
-    scenario = load(SCENARIO, ["run.episodes=100000"])
+    priority = PRIORITY if variant.endswith(PRIORITIZED) else 0
+    scenario = load(SCENARIO, ["run.episodes=100000", f"realtime.priority={priority}"])
     assembly, watch, latch = assemble(scenario), Stopwatch(), Latch()
+    name = f"{variant.replace(', ', '-').replace(' ', '-')}-{number}"
+    variant = variant.removesuffix(PRIORITIZED)
     with contextlib.ExitStack() as stack:
         link = None
         if variant == ANOTHERS:
@@ -173,12 +179,12 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
         elif variant != "off":
             if variant in ("watched", "stopped", "killed"):
                 stack.enter_context(subscriber(variant))
-            record = folder / f"{variant}-{number}.mcap"
+            record = folder / f"{name}.mcap"
             if variant == "disk stalled":
                 stack.enter_context(stalled_disk(folder))
             link = Link(
                 about_run(scenario, assembly),
-                Place("benchmark", f"{variant}-{number}"),
+                Place("benchmark", name),
                 Wishes(Access(endpoint=ENDPOINT), str(record)),
                 pace_of(assembly.schedule),
             )
@@ -191,7 +197,7 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
             with contextlib.suppress(RtagentError):
                 await assembly.run([link.collector] if link is not None else [], latch=latch)
 
-        clock.run(main())
+        stack.enter_context(manners(assembly.realtime)).run(main())
     if link is not None:
         if variant == "sender stopped":
             os.kill(link.pid, signal.SIGCONT)

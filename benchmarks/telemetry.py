@@ -3,7 +3,7 @@
 An agent at 500 Hz with a Horde of 100 demons runs in blocks that take turns: without telemetry, and published and
 recorded while nobody listens, somebody does, who is then stopped or killed, or while its own sender is stopped or
 its disk stalled. For comparison there is a loop without telemetry beside as much traffic of another program, and
-somebody who listens to that.
+somebody who listens to that; and a loop with a scheduling priority, without telemetry and listened to.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from _harness import Row, main
-from _telemetry_jobs import ANOTHERS, Block, block, complete, interrupted, killed
+from _telemetry_jobs import ANOTHERS, PRIORITIZED, PRIORITY, Block, block, complete, interrupted, killed
+
+from rtagent.realtime import Realtime, manners
 
 ROUNDS, SECONDS, LONG = 8, 4.0, 60.0
 KILLS, RESAMPLED = 20, 1000
-VARIANTS = ("off", "absent", "watched", "stopped", "killed", "sender stopped", "disk stalled", ANOTHERS)
 NAMES = {
     "absent": "nobody listening",
     "watched": "somebody listening",
@@ -29,17 +30,27 @@ NAMES = {
     "sender stopped": "the sender stopped",
     "disk stalled": "the disk stalled",
     ANOTHERS: "no telemetry, another's traffic",
+    f"watched{PRIORITIZED}": f"somebody listening, both{PRIORITIZED}",
 }
+VARIANTS = ("off", f"off{PRIORITIZED}", *NAMES)
 
 Blocks = dict[str, list[Block]]
 
 
 def interleaved(folder: Path) -> Blocks:
-    blocks: Blocks = {variant: [] for variant in VARIANTS}
+    blocks: Blocks = {variant: [] for variant in possible()}
     for number in range(ROUNDS):
-        for variant in VARIANTS if number % 2 else reversed(VARIANTS):
+        for variant in blocks if number % 2 else reversed(blocks):
             blocks[variant].append(block(variant, SECONDS, folder, number))
     return blocks
+
+
+def possible() -> list[str]:
+    """Return the variants that this machine allows; tell why not all."""
+    with manners(Realtime(priority=PRIORITY)) as asked:
+        for sentence in asked.refused:
+            print(sentence, file=sys.stderr)
+    return [variant for variant in VARIANTS if not (asked.refused and variant.endswith(PRIORITIZED))]
 
 
 def cost_rows(blocks: Blocks) -> Iterator[Row]:
@@ -51,12 +62,17 @@ def cost_rows(blocks: Blocks) -> Iterator[Row]:
 def lateness_rows(blocks: Blocks) -> Iterator[Row]:
     for quantile, name in ((0.5, "p50"), (0.99, "p99"), (0.999, "p99.9")):
         yield Row(f"lateness without telemetry, {name}", pooled(blocks["off"], quantile), "µs")
+        if f"off{PRIORITIZED}" in blocks:
+            yield Row(f"  the same{PRIORITIZED}", pooled(blocks[f"off{PRIORITIZED}"], quantile), "µs")
     for variant, name in NAMES.items():
-        low, ratio, high = compared(blocks["off"], blocks[variant], 0.99)
+        if variant not in blocks:
+            continue
+        off = blocks[f"off{PRIORITIZED}" if variant.endswith(PRIORITIZED) else "off"]
+        low, ratio, high = compared(off, blocks[variant], 0.99)
         yield Row(f"p99 lateness to that without, {name}", ratio, "×", None if variant == ANOTHERS else 1.1)
         yield Row("  95 % interval, from", low, "×")
         yield Row("  95 % interval, to", high, "×")
-        tail = pooled(blocks[variant], 0.999) / pooled(blocks["off"], 0.999)
+        tail = pooled(blocks[variant], 0.999) / pooled(off, 0.999)
         yield Row("  p99.9 lateness to that without", tail, "×")
 
 
