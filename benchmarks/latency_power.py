@@ -1,9 +1,9 @@
 """Measures whether `rtagent bench --against` finds what it promises to find, and nothing else.
 
-A session compares an agent with itself, in turns, by the functions and rules of the command: 12 rounds in 3 pairs
-of processes. In some sessions one part of the second agent is a fifth slower, by work that it does more (the age at
-observation by samples that are longer on their way); in others none is. How much more that has to be is measured
-first. All is done once while the other processor has nothing to do, and once while it is busy.
+A session compares an agent with itself, in turns, by the functions and rules of the command: 12 rounds or more, in
+pairs of processes. In some sessions one part of the second agent is a fifth slower, by work that it does more (the
+age at observation by samples that are longer on their way); in others none is. How much more that has to be is
+measured first. All is done once while the other processor has nothing to do, and once while it is busy.
 
 A session should take some 13 s on a machine of its own, and there are 14 for each of `--sessions N` (20): an hour.
 What others take of the processor makes it longer: rounds that they disturbed are measured anew; `--stolen SHARE`
