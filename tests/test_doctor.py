@@ -27,7 +27,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="most of what it
 
 NAMES = {
     "python", "rtagent", "numpy", "numba", "kernels", "uvloop", "processors", "load", "free memory", "kernel",
-    "runs in", "priority", "memory lock", "governor", "idle states", "timer slack", "interpreter", "serial ports",
+    "runs in", "priority", "memory lock", "governor", "idle states", "timer slack", "time slice", "interpreter",
+    "serial ports",
 }  # fmt: skip
 QUICK = Summary(100, 30e3, 50e3, 60e3, 70e3)
 SLOW = Summary(100, 30e3, 1e6, 2e6, 3e6)

@@ -24,7 +24,7 @@ from parts import ROOT, SCENARIOS
 from rtagent import clock, ms, us
 from rtagent.__main__ import main
 from rtagent.clock import RealClock
-from rtagent.realtime import Manners, Realtime, busy, machine, manners
+from rtagent.realtime import Manners, Realtime, busy, machine, manners, timeslice
 from rtagent.realtime.collector import AT_THE_LATEST, Collector
 from rtagent.scenario import assemble, load
 from rtagent.scenario.model import RealtimeTable
@@ -59,6 +59,12 @@ def settings() -> dict[str, object]:
 def locked_memory() -> int:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmLck:"))
+
+
+@pytest.fixture(autouse=True)
+def without_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take a machine that has no time slices of single threads: those that have are in test_timeslice.py."""
+    monkeypatch.setattr(timeslice, "time_slice", lambda: 0)
 
 
 class Scheduler:

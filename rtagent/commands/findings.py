@@ -17,7 +17,7 @@ from rtagent import __version__, kernels, plugins
 from rtagent.errors import PluginError
 from rtagent.finding import Finding
 from rtagent.memory import available_memory, describe_size
-from rtagent.realtime import machine
+from rtagent.realtime import machine, timeslice
 from rtagent.units import describe
 
 LITTLE_MEMORY = 500e6
@@ -194,6 +194,16 @@ def _timer_slack() -> Finding:
     return Finding("timer slack", value)
 
 
+def _time_slice() -> Finding:
+    usual = timeslice.time_slice()
+    value = (
+        f"{describe(usual)}; {describe(timeslice.SHORTEST)} in a real run" if usual else "the same for all threads"
+    )
+    problem = "a run wakes late, by milliseconds at times, where other programs keep all processors busy."
+    cure = "use Linux 6.12 or later, or ask for a priority: [realtime] priority."
+    return Finding("time slice", value).but(not usual, problem, cure)
+
+
 def _python_settings() -> Finding:
     gil = getattr(sys, "_is_gil_enabled", lambda: True)()
     switch = describe(sys.getswitchinterval() * 1e9) if gil else "no GIL"
@@ -243,5 +253,5 @@ def _read(path: Path) -> str:
 
 FINDINGS: tuple[Callable[[], Finding], ...] = (
     _python, _rtagent, _numpy, _numba, _kernels, _uvloop, _processors, _load, _memory, _kernel, _inside,
-    _priority, _memory_lock, _governor, _idle_states, _timer_slack, _python_settings, _serial_ports,
+    _priority, _memory_lock, _governor, _idle_states, _timer_slack, _time_slice, _python_settings, _serial_ports,
 )  # fmt: skip

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 from rtagent import clock
-from rtagent.realtime import machine
+from rtagent.realtime import machine, timeslice
 from rtagent.realtime.busy import BusyWatch
 from rtagent.realtime.collector import Collector
 from rtagent.realtime.machine import RefusedError, Undo
@@ -32,7 +32,7 @@ PACE_IT = "give schedule.period a value, or let observe wait for a device that h
 
 @dataclass(frozen=True)
 class Realtime:
-    """What is asked of the machine; by default nothing.
+    """What is asked of the machine beside a short time slice; by default nothing.
 
     `priority` is that of SCHED_FIFO, 1 to 99 (0: none); `processors` are those that the loop may run on,
     `learner_processors` those of a thread that learns (none: those of the loop); `switch_interval` (ns) is how long
@@ -95,7 +95,7 @@ class Manners:
 
 @contextlib.contextmanager
 def manners(realtime: Realtime, clock_name: clock.ClockName = "real", *, busy: bool = False) -> Iterator[Manners]:
-    """Ask the machine for all that `realtime` says, and give everything back afterwards.
+    """Ask the machine for a short time slice and for all that `realtime` says, and give everything back afterwards.
 
     They are those of the calling thread and of threads that it starts, but for the priority, which others never
     inherit. A loop that is `busy`, one that never sleeps, gets no priority.
@@ -103,11 +103,20 @@ def manners(realtime: Realtime, clock_name: clock.ClockName = "real", *, busy: b
     made = Manners(clock_name)
     with contextlib.ExitStack() as stack:
         if clock_name == "real":
+            _shorten_slice(made, stack)
             for what, ask in _asked(realtime, made, busy):
                 _attempt(made, stack, what, ask)
         elif realtime != Realtime():
             made.refused.append("under the virtual clock nothing of [realtime] applies: it is for the real one.")
         yield made
+
+
+def _shorten_slice(made: Manners, stack: contextlib.ExitStack) -> None:
+    """Ask for what costs nobody anything; a system that has no such slices is not told of."""
+    give_back = timeslice.short_slice()
+    if give_back is not None:
+        stack.callback(give_back)
+        made.granted.append(f"time slice {describe(timeslice.SHORTEST)}")
 
 
 def _attempt(made: Manners, stack: contextlib.ExitStack, what: str, ask: Callable[[], Undo]) -> None:

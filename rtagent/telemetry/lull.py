@@ -7,11 +7,11 @@ from typing import Any
 
 import msgspec
 
-GUARD = 200_000
-"""So long (ns) before a cycle is due nothing is begun: what was handed on before is still being passed on."""
+GUARD = 0.4
+"""For so much of the period before a cycle nothing is begun: what was handed on is still being passed on then."""
 LONGEST = 20_000_000
 """Up to this period (ns) lulls are waited for, so that nothing is told later by more than it."""
-FADING = 0.98
+FADING = 0.9
 """How much of the longest that was seen still counts at the next look."""
 
 
@@ -30,6 +30,7 @@ class Lull:
 
     def __init__(self, pace: Pace) -> None:
         self._period, self._first = pace.period if pace.period <= LONGEST else 0, pace.first
+        self._last_call = (1.0 - GUARD) * self._period
         self._began = self._ended = 0
         self._busy = self._piece = 0.0
 
@@ -50,15 +51,21 @@ class Lull:
     @property
     def known(self) -> bool:
         """Whether there are lulls that have room for a piece."""
-        return bool(self._began) and self._period > self._busy + self._piece + GUARD
+        return bool(self._began) and self._last_call > self._busy + self._piece
 
     def until(self, now: int) -> int:
-        """Return how long it is until a piece may begin: 0 in a lull, and where none is known."""
-        if not self.known:
-            return 0
-        phase = (now - self._began) % self._period
+        """Return how long it is until a piece may begin: 0 in a lull, and where none is known.
+
+        Each look in vain lets what was longest count less: a single long piece must not leave none its room.
+        """
+        wait = self._wait((now - self._began) % self._period) if self.known else 0
+        if wait:
+            self._busy, self._piece = FADING * self._busy, FADING * self._piece
+        return wait
+
+    def _wait(self, phase: int) -> int:
         if phase < self._busy:
             return int(self._busy - phase)
-        if phase > self._period - GUARD - self._piece:
+        if phase > self._last_call - self._piece:
             return int(self._period - phase + self._busy)
         return 0

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rtagent.clock import RealClock
+from rtagent.realtime.timeslice import usual_slice
 from rtagent.telemetry import records
 from rtagent.telemetry.connection import Access, TelemetryError
 from rtagent.telemetry.keys import Place
@@ -241,6 +242,7 @@ def _give_way() -> None:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     with contextlib.suppress(OSError, AttributeError):
         os.nice(5)
+    usual_slice()
 
 
 if __name__ == "__main__":
