@@ -42,6 +42,8 @@ ANOTHERS = "another's"
 """The variant without telemetry of its own, beside as much traffic of another program, and who listens to it."""
 WARM_UP = 500
 """So many first cycles of a block are left out: the sender and its router start meanwhile."""
+STARTED = 1000
+"""So many first records have waited for the sender to start: their age is not looked at."""
 
 SUBSCRIBER = """
 import sys, zenoh
@@ -73,12 +75,12 @@ while True:
 """As many bytes and messages as those of a run at 500 Hz."""
 
 COUNTER = """
-import asyncio, contextlib, json, sys
+import asyncio, contextlib, json, sys, time
 from rtagent.telemetry.connection import Access
 from rtagent.telemetry.subscribe import subscribe
 
 async def main():
-    seen, missed, lost, ended = {}, {}, {}, None
+    seen, missed, lost, ended, ages = {}, {}, {}, None, []
     access = Access(endpoint=sys.argv[1])
     told = lambda: print("ready", flush=True)
     async with contextlib.aclosing(subscribe(access=access, connected=told)) as messages:
@@ -87,13 +89,15 @@ async def main():
             first = record.sequence if stream not in seen else 0
             seen[stream] = seen.get(stream, 0) + 1
             missed[stream] = missed.get(stream, 0) + message.missed + first
+            if stream == "observation":
+                ages.append(time.monotonic_ns() - record.time_ns)
             if stream == "counters":
                 lost = {k[5:]: v for k, v in record.values.items() if k.startswith("lost.")}
                 if ended:
                     break
             if stream == "run" and record.ended:
                 ended = record.ended
-    print(json.dumps({"seen": seen, "missed": missed, "lost": lost}))
+    print(json.dumps({"seen": seen, "missed": missed, "lost": lost, "ages": ages}))
 
 asyncio.run(main())
 """
@@ -259,12 +263,13 @@ def command(*settings: str, record: Path | None = None) -> list[str]:
 
 @dataclass
 class Seen:
-    """How many records there were of all streams, and how many of them nobody accounts for."""
+    """How many records there were of all streams, how many nobody accounts for, and how old (ms) they came."""
 
     records: int
     unaccounted_at_subscriber: int
     unaccounted_in_recording: int
     lost: int
+    ages: NDArray[np.float64]
 
 
 def complete(seconds: float, folder: Path) -> Seen:
@@ -292,6 +297,7 @@ def complete(seconds: float, folder: Path) -> Seen:
         sum(abs(missing - lost.get(stream, 0)) for stream, missing in told["missed"].items()),
         sum(abs(numbers[stream] - counts[stream] - lost.get(stream, 0)) for stream in counts),
         sum(lost.values()),
+        np.array(told["ages"][STARTED:]) / 1e6,
     )
 
 

@@ -98,6 +98,8 @@ def arrival_rows(folder: Path) -> Iterator[Row]:
     yield Row("  told to be lost", seen.lost, "")
     yield Row("  missing at the subscriber, and not told", seen.unaccounted_at_subscriber, "", 0)
     yield Row("  missing in the recording, and not told", seen.unaccounted_in_recording, "", 0)
+    yield Row("  age of observations at the subscriber, median", float(np.median(seen.ages)), "ms")
+    yield Row("  age of observations at the subscriber, p99", float(np.quantile(seen.ages, 0.99)), "ms", 50.0)
 
 
 def ending_rows(folder: Path) -> Iterator[Row]:
