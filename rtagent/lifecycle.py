@@ -135,16 +135,7 @@ class _Life:
         if self._clock.virtual and self._protection.needed:
             raise ClockError("hardware knows no virtual clock: run it under the real one, or take its fake.")
         self._devices = {
-            name: SupervisedDevice(
-                name,
-                device,
-                supervision.get(name, Supervision()),
-                self._clock,
-                self._guard,
-                latch,
-                self._report,
-                self._protection.renew,
-            )
+            name: self._supervised(name, device, supervision.get(name, Supervision()))
             for name, device in devices.items()
         }
         self._agents: list[Agent] = []
@@ -152,15 +143,30 @@ class _Life:
         self._first_agent = self._make_agent(stream(plan.seed, "policy", 0))
         agent_prologue(schedule, self._first_agent)  # so that what does not fit is told before anything is opened
         self._not_safe: list[str] = []
-        specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
-        task.bind(specs)
-        check_urgency(schedule, task, self._first_agent.learner, specs)
+        self._bind_task()
         if self._clock.virtual:
             refuse_stuck(devices, schedule, costs, plan)
         self._keeping = Keeping(keeper, plan, self._clock, self._recorder, self._devices, self._agents)
         self._keeping.begin(self._report)
         self._keeping.take_agent(self._first_agent, 0)
         self._began = self._keeping.began
+
+    def _supervised(self, name: str, device: Device, supervision: Supervision) -> SupervisedDevice:
+        return SupervisedDevice(
+            name,
+            device,
+            supervision,
+            self._clock,
+            self._guard,
+            self._latch,
+            self._report,
+            self._protection.renew,
+        )
+
+    def _bind_task(self) -> None:
+        specs = {name: device.supervision.spec_of(device.device) for name, device in self._devices.items()}
+        self._task.bind(specs)
+        check_urgency(self._schedule, self._task, self._first_agent.learner, specs)
 
     async def live(self) -> Result:
         self._hooks.call("run_began", self._report)

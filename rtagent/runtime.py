@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from numpy.random import Generator as RandomGenerator
 
 from rtagent.agent import Agent
-from rtagent.backlog import Backlog, Desk, make_work, yield_once
+from rtagent.backlog import Backlog, Desk, Work, make_work, yield_once
 from rtagent.clock import Clock
 from rtagent.costs import Costs
 from rtagent.errors import ScheduleError, SpecError
@@ -116,24 +116,7 @@ class Runtime:
         self._record_component = {name: series.record for name, series in recorder.components.items()}
         self._record_queue_length = recorder.queue_length.record
         agent.keeps_transitions = schedule.learns
-        desk = Desk(
-            clock,
-            recorder,
-            self._learning_cost,
-            self._newest,
-            self._learned,
-            learning_failed,
-            costs=bool(schedule.learn_delay) or LEARN in self._costs,
-            learned_for=self._learned_for if "learned_for" in hooks.heard else None,
-        )
-        self.work = make_work(
-            Backlog(agent, schedule.learn, desk),
-            self._senses,
-            Urgency(schedule.learn, task, agent, self._senses),
-            virtual=clock.virtual,
-            on_thread=habits.place_learner,
-            once=schedule.ordering is not None,
-        )
+        self.work = self._make_work(habits, learning_failed)
         self._situation = Present(agent, self._senses, self.work, clock.now)
         self._in_one_piece = schedule.learn.where is Where.LOOP and not schedule.learn.slice
         self._components[LEARN] = self.work.learn if schedule.learn.inline else self._learn
@@ -142,6 +125,27 @@ class Runtime:
         self.orderer: Orderer | None = None
         if schedule.ordering is not None:
             self._begin_ordering(schedule.ordering, ordering_rng)
+
+    def _make_work(self, habits: Habits, learning_failed: Callable[[BaseException], None]) -> Work:
+        hooks, learn = self._hooks, self._schedule.learn
+        desk = Desk(
+            self._clock,
+            self._recorder,
+            self._learning_cost,
+            self._newest,
+            self._learned,
+            learning_failed,
+            costs=bool(self._schedule.learn_delay) or LEARN in self._costs,
+            learned_for=self._learned_for if "learned_for" in hooks.heard else None,
+        )
+        return make_work(
+            Backlog(self._agent, learn, desk),
+            self._senses,
+            Urgency(learn, self._task, self._agent, self._senses),
+            virtual=self._clock.virtual,
+            on_thread=habits.place_learner,
+            once=self._schedule.ordering is not None,
+        )
 
     def _begin_ordering(self, ordering: Ordering, rng: RandomGenerator) -> None:
         self.orderer = Orderer(ordering, rng)
