@@ -24,6 +24,7 @@ from rtagent.errors import RtagentError
 from rtagent.instruments import Hooks
 from rtagent.latch import Latch
 from rtagent.realtime import manners
+from rtagent.realtime.machine import available_processors
 from rtagent.scenario import assemble, load
 from rtagent.telemetry.connection import Access
 from rtagent.telemetry.describing import about_run
@@ -38,6 +39,9 @@ ENDPOINT = "tcp/127.0.0.1:7457"
 PRIORITY = 50
 """Of the variants whose names end with `PRIORITIZED`: the loop's, as a scenario asks for it."""
 PRIORITIZED = ", with a priority"
+ANYWHERE = ", on any processor"
+"""The end of the names of variants whose loop is where the kernel puts it; others keep theirs on one processor, for
+where it happens to be makes more of a difference here than telemetry does."""
 ANOTHERS = "another's"
 """The variant without telemetry of its own, beside as much traffic of another program, and who listens to it."""
 WARM_UP = 500
@@ -170,28 +174,16 @@ class Stopwatch:
 
 def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
     """Run the agent for some seconds, with its telemetry as the variant says."""
-    priority = PRIORITY if variant.endswith(PRIORITIZED) else 0
-    scenario = load(SCENARIO, ["run.episodes=100000", f"realtime.priority={priority}"])
-    assembly, watch, latch = assemble(scenario), Stopwatch(), Latch()
+    scenario = load(SCENARIO, ["run.episodes=100000", *settings(variant)])
     name = f"{variant.replace(', ', '-').replace(' ', '-')}-{number}"
-    variant = variant.removesuffix(PRIORITIZED)
+    variant = variant.removesuffix(PRIORITIZED).removesuffix(ANYWHERE)
+    assembly, watch, latch, link = assemble(scenario), Stopwatch(), Latch(), None
     with contextlib.ExitStack() as stack:
-        link = None
-        if variant == ANOTHERS:
-            stack.enter_context(subscriber(variant))
-            stack.enter_context(program(TRAFFIC))
-        elif variant != "off":
-            if variant in ("watched", "stopped", "killed"):
-                stack.enter_context(subscriber(variant))
-            record = folder / f"{name}.mcap"
-            if variant == "disk stalled":
-                stack.enter_context(stalled_disk(folder))
-            link = Link(
-                about_run(scenario, assembly),
-                Place("benchmark", name),
-                Wishes(Access(endpoint=ENDPOINT), str(record)),
-                pace_of(assembly.schedule),
-            )
+        stack.enter_context(surroundings(variant, folder))
+        granted = stack.enter_context(manners(assembly.realtime))
+        if variant not in ("off", ANOTHERS):
+            wishes = Wishes(Access(endpoint=ENDPOINT), str(folder / f"{name}.mcap"))
+            link = Link(about_run(scenario, assembly), Place("benchmark", name), wishes, pace_of(assembly.schedule))
         stack.enter_context(watch.running())
 
         async def main() -> None:
@@ -201,12 +193,33 @@ def block(variant: str, seconds: float, folder: Path, number: int) -> Block:
             with contextlib.suppress(RtagentError):
                 await assembly.run([link.collector] if link is not None else [], latch=latch)
 
-        stack.enter_context(manners(assembly.realtime)).run(main())
+        granted.run(main())
     if link is not None:
         if variant == "sender stopped":
             os.kill(link.pid, signal.SIGCONT)
         link.close("done" if variant != "disk stalled" else "the disk is stalled")
     return Block(*(np.array(values[WARM_UP:]) / 1e3 for values in (watch.lateness, watch.costs)))
+
+
+def settings(variant: str) -> Iterator[str]:
+    """Yield what the loop of a variant asks of the machine."""
+    if variant.endswith(PRIORITIZED):
+        yield f"realtime.priority={PRIORITY}"
+    if not variant.endswith(ANYWHERE):
+        yield f"realtime.processors=[{min(available_processors())}]"
+
+
+@contextlib.contextmanager
+def surroundings(variant: str, folder: Path) -> Iterator[None]:
+    """Have around the run what the variant says."""
+    with contextlib.ExitStack() as stack:
+        if variant in ("watched", "stopped", "killed", ANOTHERS):
+            stack.enter_context(subscriber(variant))
+        if variant == ANOTHERS:
+            stack.enter_context(program(TRAFFIC))
+        if variant == "disk stalled":
+            stack.enter_context(stalled_disk(folder))
+        yield
 
 
 @contextlib.contextmanager
