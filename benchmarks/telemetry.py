@@ -1,10 +1,10 @@
 """Measures what telemetry costs the loop, and what of it arrives.
 
 An agent at 500 Hz with a Horde of 100 demons runs in blocks that take turns, its loop on one processor: without
-telemetry, and published and recorded while nobody listens, somebody does, who is then stopped or killed, or while its
-own sender is stopped or its disk stalled. For comparison there is a loop without telemetry beside as much traffic of
-another program, and somebody who listens to that; and loops with a scheduling priority, and on any processor, without
-telemetry and listened to.
+telemetry, and published and recorded while nobody listens, somebody does, who is then stopped or killed, or while
+its own sender is stopped or its disk stalled. For comparison there is a loop without telemetry beside as much
+traffic of another program, and somebody who listens to that; and loops with a scheduling priority, and on any
+processor, without telemetry and listened to.
 """
 
 from __future__ import annotations
