@@ -9,6 +9,7 @@ import threading
 import msgspec
 
 from rtagent.telemetry.connection import Access, TelemetryError, config, reason, router_settings, zenoh_module
+from rtagent.telemetry.manners import give_way
 
 LOOK_EVERY = 1.0
 LINGERS = 5
@@ -17,6 +18,7 @@ LINGERS = 5
 
 def main() -> int:
     """Route between clients until there are none any more; say "ready", or why not."""
+    give_way()
     access = msgspec.json.decode(sys.argv[1], type=Access)
     try:
         zenoh = zenoh_module()

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rtagent.clock import RealClock
-from rtagent.realtime.timeslice import usual_slice
 from rtagent.telemetry import records
 from rtagent.telemetry.connection import Access, TelemetryError
 from rtagent.telemetry.keys import Place
 from rtagent.telemetry.lull import Lull, Pace
+from rtagent.telemetry.manners import give_way
 from rtagent.telemetry.publishing import Publisher
 from rtagent.telemetry.records import STREAM_OF, Record
 from rtagent.telemetry.ring import Ring
@@ -210,7 +210,7 @@ def main() -> None:
     """Send for the run that started this process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    _give_way()
+    give_way()
     length = int.from_bytes(os.read(ORDERS, 8), "little")
     order = msgspec.json.decode(_read(length), type=Order)
     try:
@@ -232,17 +232,6 @@ def _read(length: int) -> bytes:
             raise SystemExit(1)
         data += part
     return data
-
-
-def _give_way() -> None:
-    """Run on any processor, and after the loop where both want the same one."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(5)
-    usual_slice()
 
 
 if __name__ == "__main__":
