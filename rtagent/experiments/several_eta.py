@@ -137,7 +137,7 @@ def _draw(by_reading: dict[str, dict[Setting, np.ndarray]], canvas: Canvas) -> N
     names = ["500, best η", "4,000, best η", "8,000, best η", "4,000, 2 η", "500, 16 η"]
     axes.set_xticks(range(len(names)), names)
     axes.set(yscale="log", ylabel="mean squared error (of the range, squared)", xlabel="prototypes")
-    axes.legend(loc="center")
+    canvas.legend(loc="outside lower center", ncols=2)
 
 
 EXPERIMENT = Experiment(

@@ -41,4 +41,4 @@ def _draw(errors: Errors, line: Line, canvas: Canvas) -> None:
         x, low, high = [each.etas[0] for each in own], [each.low for each in ends], [each.high for each in ends]
         style.series(axes, number, x, [each.middle for each in ends], label, low=low, high=high)
     axes.set(xscale="log", yscale="log", xlabel="η", ylabel="mean squared error (of the range, squared)")
-    axes.legend()
+    canvas.legend(loc="outside right center")
