@@ -9,7 +9,7 @@ import platform
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -29,13 +29,13 @@ def left_as_it_was() -> Iterator[None]:
     assert timeslice.time_slice() == before
 
 
-def in_thread(work: object) -> None:
+def in_thread(work: Callable[[], None]) -> None:
     """Do in a thread of its own what changes the scheduling of a thread for good."""
     failed: list[BaseException] = []
 
     def caught() -> None:
         try:
-            work()  # type: ignore[operator]
+            work()
         except BaseException as error:
             failed.append(error)
 
