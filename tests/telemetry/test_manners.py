@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from rtagent.realtime import Realtime, manners, timeslice
+from rtagent.realtime.machine import available_processors
 from rtagent.telemetry.manners import NICENESS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="what is asked for is Linux's")
@@ -24,7 +25,7 @@ for _ in range(2):  # a router that a sender has started
 
 
 def test_they_give_way_also_where_the_run_that_starts_them_does_not() -> None:
-    usual, processors = timeslice.time_slice(), os.sched_getaffinity(0)
+    usual, processors = timeslice.time_slice(), available_processors()
     niceness = max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0))
     with manners(Realtime(processors=(min(processors),))):
         done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
